@@ -1,0 +1,110 @@
+"""The trained classifier: scaler and SVM as one object, and its file."""
+
+import pickle
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import sklearn
+from sklearn.preprocessing import StandardScaler
+
+from files import write_whole
+from pipeline_functions import FeatureParams
+
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Classifier:
+    """Scaler and SVM, with the features they were trained on.
+
+    Attributes
+    ----------
+    svm : sklearn.svm.LinearSVC or sklearn.svm.SVC
+    scaler : sklearn.preprocessing.StandardScaler
+    params : FeatureParams
+    data_counts : dict of str to int
+        How many images of each class it was trained on.
+    """
+
+    svm: object
+    scaler: StandardScaler
+    params: FeatureParams
+    data_counts: dict
+
+    def decision_function(self, features):
+        """Scores of feature vectors, positive for vehicles.
+
+        Parameters
+        ----------
+        features : ndarray of float32, shape (n, n_features)
+            Not yet scaled.
+
+        Returns
+        -------
+        scores : ndarray of float, shape (n,)
+        """
+        if self._folded is not None:
+            weights, bias = self._folded
+            return features @ weights + bias
+        return self.svm.decision_function(self.scaler.transform(features))
+
+    @cached_property
+    def _folded(self):
+        """Scaler and linear SVM in one: w (x - mean) / scale + b = w' x + b'."""
+        if not hasattr(self.svm, "coef_"):
+            return None
+        weights = self.svm.coef_[0] / self.scaler.scale_
+        bias = float(self.svm.intercept_[0] - weights @ self.scaler.mean_)
+        return weights.astype(np.float32), bias
+
+
+def save_classifier(classifier, path):
+    """Write a classifier; the file appears under its name only when whole."""
+    content = {
+        "format_version": FORMAT_VERSION,
+        "sklearn_version": sklearn.__version__,
+        "n_features": classifier.params.n_features,
+        "params": asdict(classifier.params),
+        "data_counts": classifier.data_counts,
+        "scaler": classifier.scaler,
+        "svm": classifier.svm,
+    }
+    write_whole(path, pickle.dumps(content))
+
+
+def load_classifier(path):
+    """Read and check a classifier that `save_classifier` wrote.
+
+    Unpickling runs code: load only files you trust.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    ValueError
+        It is no parameter file, or one of another format, another
+        scikit-learn, or of features of another length.
+    """
+    path = Path(path)
+    again = "run train.py to make it anew"
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such parameter file: {again}")
+    try:
+        content = pickle.loads(path.read_bytes())
+        version = content["format_version"]
+    except (pickle.UnpicklingError, EOFError, AttributeError, KeyError, TypeError) as error:
+        raise ValueError(f"{path}: not a parameter file of train.py: {again}") from error
+    if version != FORMAT_VERSION:
+        raise ValueError(f"{path}: format {version}, not {FORMAT_VERSION}: {again}")
+    if content["sklearn_version"] != sklearn.__version__:
+        raise ValueError(
+            f"{path}: made with scikit-learn {content['sklearn_version']}, "
+            f"installed is {sklearn.__version__}: {again}"
+        )
+    params = FeatureParams(**content["params"])
+    lengths = {content["n_features"], content["scaler"].n_features_in_, params.n_features}
+    if len(lengths) > 1:
+        raise ValueError(f"{path}: feature lengths {sorted(lengths)} do not agree: {again}")
+    return Classifier(content["svm"], content["scaler"], params, content["data_counts"])

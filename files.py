@@ -1,0 +1,93 @@
+"""Reading images and writing files, with errors that name the file.
+
+Colour order is settled here: what OpenCV reads as BGR leaves as RGB.
+"""
+
+import os
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg"}
+VIDEO_SUFFIXES = {".mp4", ".avi", ".mov", ".mkv", ".webm"}
+
+
+def find_images(folder):
+    """All images under a folder, at any depth, in the order of their paths.
+
+    Raises
+    ------
+    FileNotFoundError
+        The folder is missing, or holds no image.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{folder}: no such folder")
+    paths = sorted(p for p in folder.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
+    if not paths:
+        raise FileNotFoundError(f"{folder}: no png or jpg images in it")
+    return paths
+
+
+def read_image(path):
+    """Read an image as RGB uint8, whatever its file holds.
+
+    Gray images get three equal channels, an alpha channel is dropped, 16 bits
+    become 8.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        The file is missing; it is empty, truncated or no image.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such image")
+    content = np.frombuffer(path.read_bytes(), np.uint8)
+    if path.suffix.lower() in {".jpg", ".jpeg"} and not _ends_as_jpeg(content):
+        raise ValueError(f"{path}: truncated: replace or delete it")
+    img = cv2.imdecode(content, cv2.IMREAD_COLOR_RGB) if content.size else None
+    if img is None:
+        raise ValueError(f"{path}: not a readable image: replace or delete it")
+    return img
+
+
+def _ends_as_jpeg(content):
+    """Whether the end-of-image marker is there: decoders invent what is missing."""
+    return b"\xff\xd9" in content[-64:].tobytes()
+
+
+def write_image(path, img):
+    """Write an RGB image, whole or not at all."""
+    path = Path(path)
+    done, encoded = cv2.imencode(path.suffix, cv2.cvtColor(img, cv2.COLOR_RGB2BGR))
+    if not done:
+        raise ValueError(f"{path}: cannot be written as an image")
+    write_whole(path, encoded.tobytes())
+
+
+@contextmanager
+def written_whole(path):
+    """A temporary path beside `path` that takes its name if the block succeeds.
+
+    The suffix stays, for encoders choose the format by it.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{os.getpid()}.partial.{path.name}")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def write_whole(path, content):
+    """Write bytes or text to a file that appears under its name only when whole."""
+    with written_whole(path) as partial:
+        if isinstance(content, bytes):
+            partial.write_bytes(content)
+        else:
+            partial.write_text(content)

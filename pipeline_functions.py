@@ -1,0 +1,695 @@
+"""The detector as plain functions, in the order in which a frame meets them.
+
+colour -> features -> windows -> search -> heat -> labels -> drawing
+
+Every image is RGB, uint8, shape (rows, columns, 3). Every box is
+(left, top, right, bottom) in whole pixels, right and bottom excluded, and
+boxes travel as int arrays of shape (n, 4).
+"""
+
+from dataclasses import dataclass
+from math import gcd
+
+import cv2
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import find_objects, label, maximum
+from skimage.feature import hog
+
+from dense_hog import hog_blocks, tile_histograms
+
+# ---------------------------------------------------------------- parameters
+
+_CONVERSIONS = {
+    "RGB": None,
+    "YCrCb": cv2.COLOR_RGB2YCrCb,
+    "HSV": cv2.COLOR_RGB2HSV,
+    "HLS": cv2.COLOR_RGB2HLS,
+    "LUV": cv2.COLOR_RGB2LUV,
+    "YUV": cv2.COLOR_RGB2YUV,
+    "Lab": cv2.COLOR_RGB2Lab,
+    "gray": cv2.COLOR_RGB2GRAY,
+}
+
+
+def _require_color(conv):
+    if conv not in _CONVERSIONS:
+        raise ValueError(f"unknown colour space {conv!r}: one of {', '.join(_CONVERSIONS)}")
+
+
+def _channel_count(conv):
+    return 1 if conv == "gray" else 3
+
+
+@dataclass(frozen=True)
+class FeatureParams:
+    """What is measured of a window. A colour of None leaves the group out.
+
+    Attributes
+    ----------
+    spatial_color, hist_color, hog_color : str or None
+        Colour space of each feature group, a name `convert_color` knows.
+    spatial_size : int
+        The window is shrunk to this many pixels a side; divides `window_size`.
+    hist_bins : int
+        Bins of each channel's histogram over 0..256.
+    hog_channel : int or "ALL"
+        Channel of `hog_color` that HOG looks at.
+    orientations, pix_per_cell, cells_per_block : int
+        HOG: bins over 180 degrees, pixels a cell, cells a block.
+        `pix_per_cell` divides `window_size`.
+    window_size : int
+        Side of a training image, and of a window at scale 1, in pixels.
+    """
+
+    spatial_color: str | None = None
+    spatial_size: int = 16
+    hist_color: str | None = None
+    hist_bins: int = 32
+    hog_color: str | None = None
+    hog_channel: int | str = "ALL"
+    orientations: int = 9
+    pix_per_cell: int = 8
+    cells_per_block: int = 2
+    window_size: int = 64
+
+    def __post_init__(self):
+        groups = (self.spatial_color, self.hist_color, self.hog_color)
+        if not any(groups):
+            raise ValueError("no feature group is on: give at least one colour space")
+        for color in groups:
+            if color is not None:
+                _require_color(color)
+        if self.spatial_color and self.window_size % self.spatial_size:
+            raise ValueError(
+                f"spatial_size {self.spatial_size} does not divide "
+                f"the window of {self.window_size} pixels"
+            )
+        if self.window_size % self.pix_per_cell:
+            raise ValueError(
+                f"pix_per_cell {self.pix_per_cell} does not divide "
+                f"the window of {self.window_size} pixels"
+            )
+        if not 1 <= self.cells_per_block <= self.window_size // self.pix_per_cell:
+            raise ValueError(f"{self.cells_per_block} cells per block do not fit a window")
+        if min(self.orientations, self.hist_bins) < 1:
+            raise ValueError("orientations and hist_bins start at 1")
+        if self.hog_color and self.hog_channel not in ("ALL", 0, 1, 2):
+            raise ValueError(f"hog_channel is 0, 1, 2 or 'ALL', not {self.hog_channel!r}")
+        if self.hog_color == "gray" and self.hog_channel not in ("ALL", 0):
+            raise ValueError("a gray image has no HOG channel but 0")
+
+    @property
+    def n_features(self):
+        """Length of the feature vector of one window."""
+        n = 0
+        if self.spatial_color:
+            n += self.spatial_size**2 * _channel_count(self.spatial_color)
+        if self.hist_color:
+            n += self.hist_bins * _channel_count(self.hist_color)
+        if self.hog_color:
+            cells = self.window_size // self.pix_per_cell
+            blocks = cells - self.cells_per_block + 1
+            per_channel = (blocks * self.cells_per_block) ** 2 * self.orientations
+            n += per_channel * len(_hog_channels(self))
+        return n
+
+
+FEATURE_PRESETS = {
+    "G": FeatureParams(
+        spatial_color="HLS", spatial_size=16,
+        hog_color="HLS", orientations=8, pix_per_cell=8, cells_per_block=1,
+    ),
+    "B": FeatureParams(
+        spatial_color="YCrCb", spatial_size=32, hist_color="YCrCb", hist_bins=32,
+        hog_color="YCrCb", orientations=9, pix_per_cell=8, cells_per_block=2,
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SearchParams:
+    """Where windows lie. Lengths are pixels of a frame of `reference_size`.
+
+    On a frame of another size, scales follow its width, for that is what the
+    field of view fills, and the bands follow its height, for that is where
+    the horizon lies.
+
+    Attributes
+    ----------
+    bands : tuple of (scale, top, bottom)
+        Each scans the rows top..bottom with windows of scale * window_size.
+    cells_per_step : int
+        Distance between neighbouring windows, in HOG cells.
+    threshold : float
+        Windows of a decision function above it are hot.
+    reference_size : (width, height)
+    """
+
+    bands: tuple
+    cells_per_step: int = 2
+    threshold: float = 0.0
+    reference_size: tuple = (1280, 720)
+
+    def __post_init__(self):
+        if not self.bands:
+            raise ValueError("a search needs at least one band of (scale, top, bottom)")
+        for scale, top, bottom in self.bands:
+            if scale <= 0 or not 0 <= top < bottom <= self.reference_size[1]:
+                raise ValueError(f"not a band (scale, top, bottom): {(scale, top, bottom)}")
+        if self.cells_per_step < 1:
+            raise ValueError("cells_per_step starts at 1")
+
+
+SEARCH_PRESETS = {
+    # G's stills were searched in (1, 380, 550); these are its video's bands.
+    "G": SearchParams(bands=((1, 400, 550), (2, 400, 650), (3, 400, 720), (4, 400, 720))),
+    "B": SearchParams(bands=((1.6, 380, 660),)),
+}
+
+# -------------------------------------------------------------------- colour
+
+
+def convert_color(img, conv):
+    """Convert an RGB image to another colour space.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        RGB.
+    conv : {"RGB", "YCrCb", "HSV", "HLS", "LUV", "YUV", "Lab", "gray"}
+
+    Returns
+    -------
+    converted : ndarray of uint8, shape (rows, columns, 3), or (rows, columns)
+        for "gray". OpenCV's 8-bit scaling: hue is 0..179, the rest 0..255.
+
+    Raises
+    ------
+    ValueError
+        The colour space is unknown, or `img` is not RGB of uint8.
+    """
+    _require_color(conv)
+    if img.ndim != 3 or img.shape[2] != 3 or img.dtype != np.uint8:
+        raise ValueError(f"not an RGB uint8 image: {img.dtype} of shape {img.shape}")
+    code = _CONVERSIONS[conv]
+    return img.copy() if code is None else cv2.cvtColor(img, code)
+
+
+# ------------------------------------------------------------------ features
+
+
+def bin_spatial(img, size):
+    """The image shrunk to `size` x `size` pixels, as one vector.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns) or (rows, columns, channels)
+    size : int
+
+    Returns
+    -------
+    features : ndarray of uint8, shape (size * size * channels,)
+        Row by row, channels together.
+    """
+    return cv2.resize(img, (size, size), interpolation=cv2.INTER_LINEAR).ravel()
+
+
+def color_hist(img, nbins=32, bins_range=(0, 256)):
+    """Histograms of the channels, one after the other.
+
+    The range is fixed, so that a bin means the same in every image.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns) or (rows, columns, channels)
+    nbins : int
+    bins_range : (low, high)
+
+    Returns
+    -------
+    features : ndarray of int64, shape (nbins * channels,)
+        Pixel counts.
+    """
+    channels = np.atleast_3d(img)
+    return np.concatenate(
+        [
+            np.histogram(channels[..., c], bins=nbins, range=bins_range)[0]
+            for c in range(channels.shape[2])
+        ]
+    )
+
+
+def get_hog_features(img, orient, pix_per_cell, cell_per_block, vis=False, feature_vec=True):
+    """HOG of one channel, square-root transform, L2-Hys.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns)
+    orient, pix_per_cell, cell_per_block : int
+    vis : bool
+        Also return a picture of the orientations.
+    feature_vec : bool
+        Return one vector instead of the array of blocks.
+
+    Returns
+    -------
+    features : ndarray of float32, shape (block rows, block columns,
+               cell_per_block, cell_per_block, orient) or flattened
+    picture : ndarray of float64, shape (rows, columns)
+        With `vis` only; drawn by `skimage.feature.hog`.
+    """
+    features = hog_blocks(img, orient, pix_per_cell, cell_per_block)
+    if feature_vec:
+        features = features.ravel()
+    if not vis:
+        return features
+    _, picture = hog(
+        img,
+        orientations=orient,
+        pixels_per_cell=(pix_per_cell, pix_per_cell),
+        cells_per_block=(cell_per_block, cell_per_block),
+        transform_sqrt=True,
+        block_norm="L2-Hys",
+        visualize=True,
+    )
+    return features, picture
+
+
+def extract_features(img, params):
+    """Feature vector of one image of the size of a window.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (window_size, window_size, 3)
+        RGB.
+    params : FeatureParams
+
+    Returns
+    -------
+    features : ndarray of float32, shape (params.n_features,)
+        `bin_spatial`, `color_hist` and `get_hog_features` of each channel in
+        turn, of the groups that are on.
+
+    Raises
+    ------
+    ValueError
+        The image is of another size.
+    """
+    if img.shape[:2] != (params.window_size, params.window_size):
+        raise ValueError(
+            f"image of {img.shape[1]}x{img.shape[0]}: a window has "
+            f"{params.window_size}x{params.window_size} pixels"
+        )
+    return dense_features(img, params, cells_per_step=1).ravel()
+
+
+def dense_features(img, params, cells_per_step):
+    """Feature vectors of all windows of an image, each pixel looked at once.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        RGB, at least a window high and wide.
+    params : FeatureParams
+    cells_per_step : int
+
+    Returns
+    -------
+    features : ndarray of float32, shape (window rows, window columns, n_features)
+        In the order of `extract_features`. HOG blocks are those of the whole
+        image: a window's outermost gradients see the pixels beyond it.
+    """
+    step = cells_per_step * params.pix_per_cell
+    rows, columns = _window_counts(img.shape, params.window_size, step)
+    colors = {params.spatial_color, params.hist_color, params.hog_color} - {None}
+    converted = {color: convert_color(img, color) for color in colors}
+    features = np.empty((rows, columns, params.n_features), np.float32)
+    start = 0
+    for group in _feature_groups(converted, params, cells_per_step):
+        # Windows come first, whatever a group is made of follows.
+        size = int(np.prod(group.shape[2:]))
+        part = features[:, :, start : start + size]
+        part.reshape(group.shape, copy=False)[:] = group
+        start += size
+    return features
+
+
+def _feature_groups(converted, params, cells_per_step):
+    """Yield arrays of shape (window rows, window columns, ...), most of them views."""
+    if params.spatial_color:
+        yield _spatial_windows(converted[params.spatial_color], params, cells_per_step)
+    if params.hist_color:
+        for channel in cv2.split(converted[params.hist_color]):
+            yield _histogram_windows(channel, params, cells_per_step)
+    if params.hog_color:
+        channels = cv2.split(converted[params.hog_color])
+        for c in _hog_channels(params):
+            yield _hog_windows(channels[c], params, cells_per_step)
+
+
+def _spatial_windows(img, params, cells_per_step):
+    """`bin_spatial` of every window.
+
+    Shrinking by a whole factor takes the middle pixel of every square of that
+    many pixels, or the rounded mean of the middle four, so one shrunk image
+    holds the pixels of all windows that lie a multiple of its pitch apart.
+    """
+    factor = params.window_size // params.spatial_size
+    step = cells_per_step * params.pix_per_cell
+    pitch = gcd(factor, step)
+    middle = (factor - 1) // 2
+    shrunk = img[middle::pitch, middle::pitch]
+    if factor % 2 == 0:
+        right = img[middle::pitch, middle + 1 :: pitch]
+        below = img[middle + 1 :: pitch, middle::pitch]
+        beyond = img[middle + 1 :: pitch, middle + 1 :: pitch]
+        rows, columns = beyond.shape[:2]
+        total = np.full(beyond.shape, 2, np.uint16)
+        for part in (shrunk, right, below, beyond):
+            total += part[:rows, :columns]
+        shrunk = total >> 2
+    size, stride = params.spatial_size, factor // pitch
+    extent = (size - 1) * stride + 1
+    windows = sliding_window_view(shrunk, (extent, extent), axis=(0, 1))
+    windows = windows[:: step // pitch, :: step // pitch, ..., ::stride, ::stride]
+    rows, columns = _window_counts(img.shape, params.window_size, step)
+    windows = windows[:rows, :columns]
+    return windows if img.ndim == 2 else windows.transpose(0, 1, 3, 4, 2)
+
+
+def _histogram_windows(channel, params, cells_per_step):
+    """`color_hist` of one channel of every window, summed from tiles' histograms."""
+    step = cells_per_step * params.pix_per_cell
+    tile = gcd(params.window_size, step)
+    edges = np.linspace(0, 256, params.hist_bins + 1)
+    bin_of_value = np.searchsorted(edges, np.arange(256), side="right") - 1
+    tiles = tile_histograms(channel, bin_of_value, params.hist_bins, tile)
+    total = np.pad(tiles.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0), (0, 0)))
+    extent = params.window_size // tile
+    windows = (
+        total[extent:, extent:] - total[:-extent, extent:]
+        - total[extent:, :-extent] + total[:-extent, :-extent]
+    )  # fmt: skip
+    return windows[:: step // tile, :: step // tile]
+
+
+def _hog_channels(params):
+    if params.hog_channel == "ALL":
+        return range(_channel_count(params.hog_color))
+    return (params.hog_channel,)
+
+
+def _hog_windows(channel, params, cells_per_step):
+    """HOG blocks of one channel of every window."""
+    blocks = hog_blocks(
+        channel, params.orientations, params.pix_per_cell, params.cells_per_block
+    )
+    extent = params.window_size // params.pix_per_cell - params.cells_per_block + 1
+    windows = sliding_window_view(blocks, (extent, extent), axis=(0, 1))
+    windows = windows[::cells_per_step, ::cells_per_step]
+    return windows.transpose(0, 1, 5, 6, 2, 3, 4)
+
+
+# ------------------------------------------------------------------- windows
+
+
+@dataclass(frozen=True)
+class _Band:
+    """One band on one frame: `rows` x `columns` pixels from `top` down, to be resized."""
+
+    scale: float
+    top: int
+    rows: int
+    columns: int
+    resized_rows: int
+    resized_columns: int
+
+
+def _window_counts(shape, window_size, step):
+    """How many windows lie one under another, and side by side."""
+    rows, columns = ((side - window_size) // step + 1 for side in shape[:2])
+    if rows < 1 or columns < 1:
+        raise ValueError(f"an image of {shape[1]}x{shape[0]} is smaller than a window")
+    return rows, columns
+
+
+def _bands_on_frame(frame_shape, params, search):
+    """The bands that hold a window, in the pixels of this frame."""
+    height, width = frame_shape[:2]
+    reference_width, reference_height = search.reference_size
+    for reference_scale, reference_top, reference_bottom in search.bands:
+        scale = reference_scale * width / reference_width
+        top = round(reference_top * height / reference_height)
+        bottom = round(reference_bottom * height / reference_height)
+        resized_rows, resized_columns = int((bottom - top) / scale), int(width / scale)
+        if min(resized_rows, resized_columns) >= params.window_size:
+            # Cropped to whole pixels of the resized band, else every window
+            # would drift by a share of the rest.
+            rows, columns = round(resized_rows * scale), round(resized_columns * scale)
+            yield _Band(scale, top, rows, columns, resized_rows, resized_columns)
+
+
+def slide_window(frame_shape, params, search):
+    """All windows of a search, band by band, row by row.
+
+    Parameters
+    ----------
+    frame_shape : (rows, columns, ...)
+    params : FeatureParams
+    search : SearchParams
+
+    Returns
+    -------
+    windows : ndarray of int, shape (n, 4)
+        (left, top, right, bottom) in pixels of the frame.
+
+    Raises
+    ------
+    ValueError
+        No band of the search holds a window on a frame of this size.
+    """
+    step = search.cells_per_step * params.pix_per_cell
+    windows = []
+    for band in _bands_on_frame(frame_shape, params, search):
+        shape = (band.resized_rows, band.resized_columns)
+        rows, columns = _window_counts(shape, params.window_size, step)
+        top, left = np.mgrid[:rows, :columns].reshape(2, -1) * step
+        corners = np.stack(
+            [left, top, left + params.window_size, top + params.window_size], axis=1
+        )
+        windows.append(np.rint(corners * band.scale).astype(int) + (0, band.top, 0, band.top))
+    if not windows:
+        raise ValueError(
+            f"no window fits a frame of {frame_shape[1]}x{frame_shape[0]}: "
+            "use a larger picture or other bands"
+        )
+    return np.concatenate(windows)
+
+
+# -------------------------------------------------------------------- search
+
+
+def find_cars(frame, classifier, search):
+    """Score every window of a frame.
+
+    Parameters
+    ----------
+    frame : ndarray of uint8, shape (rows, columns, 3)
+        RGB.
+    classifier : object
+        With `params`, its FeatureParams, and `decision_function`, which takes
+        features of shape (n, params.n_features) and returns n scores.
+    search : SearchParams
+
+    Returns
+    -------
+    windows : ndarray of int, shape (n, 4)
+        As `slide_window` returns them.
+    scores : ndarray of float, shape (n,)
+        Decision function; above `search.threshold` a window is hot.
+    """
+    params = classifier.params
+    windows = slide_window(frame.shape, params, search)
+    scores = []
+    for band in _bands_on_frame(frame.shape, params, search):
+        features = dense_features(_resize_band(frame, band), params, search.cells_per_step)
+        scores.append(classifier.decision_function(features.reshape(-1, params.n_features)))
+    return windows, np.concatenate(scores)
+
+
+def _resize_band(frame, band):
+    strip = frame[band.top : band.top + band.rows, : band.columns]
+    return cv2.resize(
+        strip, (band.resized_columns, band.resized_rows), interpolation=cv2.INTER_LINEAR
+    )
+
+
+# ---------------------------------------------------------------------- heat
+
+
+@dataclass(frozen=True)
+class HeatGrid:
+    """The coarse grid that all window edges lie on.
+
+    Heat changes only at the edges of windows, so one cell between
+    neighbouring edges stands for all of its pixels: sums, thresholds and
+    labels come out the same as at full resolution, on far fewer cells.
+
+    Attributes
+    ----------
+    x_edges, y_edges : ndarray of int, shapes (columns + 1,), (rows + 1,)
+        Increasing, in pixels of the frame.
+    """
+
+    x_edges: np.ndarray
+    y_edges: np.ndarray
+
+    @classmethod
+    def of_windows(cls, windows):
+        """Grid of the edges of `windows`, int array of shape (n, 4)."""
+        return cls(np.unique(windows[:, [0, 2]]), np.unique(windows[:, [1, 3]]))
+
+    def zeros(self):
+        """Empty heatmap of this grid, float64."""
+        return np.zeros((len(self.y_edges) - 1, len(self.x_edges) - 1))
+
+    def to_cells(self, boxes):
+        """Boxes in pixels, all on the grid's edges, to boxes in cells."""
+        boxes = np.asarray(boxes).reshape(-1, 4)
+        x = np.searchsorted(self.x_edges, boxes[:, [0, 2]])
+        y = np.searchsorted(self.y_edges, boxes[:, [1, 3]])
+        return np.stack([x[:, 0], y[:, 0], x[:, 1], y[:, 1]], axis=1)
+
+    def to_pixels(self, boxes):
+        """Boxes in cells to boxes in pixels."""
+        left, top, right, bottom = np.asarray(boxes, int).reshape(-1, 4).T
+        return np.stack(
+            [self.x_edges[left], self.y_edges[top], self.x_edges[right], self.y_edges[bottom]],
+            axis=1,
+        )
+
+    def expand(self, heatmap, frame_shape):
+        """Heatmap of cells to one of pixels, zero where no window lies."""
+        full = np.zeros(frame_shape[:2], heatmap.dtype)
+        rows, columns = np.diff(self.y_edges), np.diff(self.x_edges)
+        full[self.y_edges[0] : self.y_edges[-1], self.x_edges[0] : self.x_edges[-1]] = (
+            heatmap.repeat(rows, axis=0).repeat(columns, axis=1)
+        )
+        return full
+
+
+def add_heat(heatmap, boxes):
+    """One more for every cell of the map that a box covers, box by box.
+
+    Parameters
+    ----------
+    heatmap : ndarray, shape (rows, columns)
+        Left as it is.
+    boxes : ndarray of int, shape (n, 4)
+        In cells of the map.
+
+    Returns
+    -------
+    heatmap : ndarray, shape (rows, columns)
+    """
+    heatmap = heatmap.copy()
+    for left, top, right, bottom in boxes:
+        heatmap[top:bottom, left:right] += 1
+    return heatmap
+
+
+def apply_threshold(heatmap, threshold):
+    """The map with everything up to and including `threshold` set to zero."""
+    return np.where(heatmap > threshold, heatmap, 0)
+
+
+def keep_lasting_heat(heatmaps, n_occ_thr):
+    """Sum heatmaps over time, without what did not last.
+
+    G's filter: heat that touches in space or from one frame to the next is
+    one object; an object seen in fewer than `n_occ_thr` frames is dropped.
+
+    Parameters
+    ----------
+    heatmaps : ndarray, shape (frames, rows, columns)
+    n_occ_thr : int
+
+    Returns
+    -------
+    heatmap : ndarray, shape (rows, columns)
+    """
+    labels, n_labels = label(heatmaps)
+    occurs = np.zeros((len(heatmaps), n_labels + 1), bool)
+    occurs[np.arange(len(heatmaps))[:, None, None], labels] = True
+    lasting = occurs.sum(axis=0) >= n_occ_thr
+    return np.where(lasting[labels], heatmaps, 0).sum(axis=0)
+
+
+# -------------------------------------------------------------------- labels
+
+
+def labeled_boxes(labels):
+    """Bounding box of every label, in order.
+
+    Parameters
+    ----------
+    labels : ndarray of int, shape (rows, columns)
+        As `scipy.ndimage.label` returns them: 1, 2, ... and 0 for none.
+
+    Returns
+    -------
+    boxes : ndarray of int, shape (n, 4)
+    """
+    slices = find_objects(labels)
+    boxes = [(x.start, y.start, x.stop, y.stop) for y, x in slices]
+    return np.array(boxes, int).reshape(-1, 4)
+
+
+def find_blobs(heatmap):
+    """Boxes of the connected parts of a thresholded heatmap, with their peaks.
+
+    Parameters
+    ----------
+    heatmap : ndarray, shape (rows, columns)
+
+    Returns
+    -------
+    boxes : ndarray of int, shape (n, 4)
+        In cells of the map.
+    peaks : ndarray of float, shape (n,)
+        Highest heat of each.
+    """
+    labels, n_labels = label(heatmap)
+    peaks = maximum(heatmap, labels, np.arange(1, n_labels + 1))
+    return labeled_boxes(labels), np.asarray(peaks, float).reshape(-1)
+
+
+# ------------------------------------------------------------------- drawing
+
+
+def draw_boxes(img, boxes, color=(0, 0, 255), thickness=4):
+    """A copy of the image with boxes on it.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        RGB.
+    boxes : ndarray of int, shape (n, 4)
+    color : tuple of int
+        RGB.
+    thickness : int
+        In pixels.
+    """
+    img = img.copy()
+    for left, top, right, bottom in np.asarray(boxes, int).reshape(-1, 4).tolist():
+        cv2.rectangle(img, (left, top), (right - 1, bottom - 1), color, thickness)
+    return img
+
+
+def draw_labeled_bboxes(img, labels, color=(0, 0, 255), thickness=4):
+    """A copy of the image with the bounding box of every label on it.
+
+    `labels` is as large as the image, see `labeled_boxes`.
+    """
+    return draw_boxes(img, labeled_boxes(labels), color, thickness)
