@@ -1,0 +1,244 @@
+"""The detector with a memory: frames in, vehicles that last out."""
+
+from collections import deque
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+import calibrate
+from classifier import load_classifier
+from pipeline_functions import (
+    SEARCH_PRESETS,
+    HeatGrid,
+    add_heat,
+    apply_threshold,
+    draw_boxes,
+    find_blobs,
+    find_cars,
+    keep_lasting_heat,
+    slide_window,
+)
+
+
+@dataclass(frozen=True)
+class FilterParams:
+    """How the heat of the last frames becomes boxes.
+
+    Attributes
+    ----------
+    n_acc : int
+        Heatmaps that are kept.
+    n_occ_thr : int
+        Heat that is one object in space and time must be seen in this many
+        frames; at 1 nothing is dropped.
+    threshold : float
+        The sum of the kept heatmaps must be above it.
+    """
+
+    n_acc: int
+    n_occ_thr: int
+    threshold: float
+
+    def __post_init__(self):
+        if not 1 <= self.n_occ_thr <= self.n_acc:
+            raise ValueError(f"n_occ_thr {self.n_occ_thr} lies outside 1..{self.n_acc}")
+
+
+FILTER_PRESETS = {
+    "G": FilterParams(n_acc=15, n_occ_thr=4, threshold=12),
+    "B": FilterParams(n_acc=10, n_occ_thr=1, threshold=25),
+    # A still has no other frame to agree with: two windows have to.
+    "still": FilterParams(n_acc=1, n_occ_thr=1, threshold=1),
+}
+
+
+@dataclass(frozen=True)
+class Detections:
+    """What was found in one frame, step by step.
+
+    Attributes
+    ----------
+    hot_windows : ndarray of int, shape (n, 4)
+        In pixels of the frame as read, like all boxes.
+    heatmap, filtered : ndarray of float, shape (grid rows, grid columns)
+        Heat of this frame; heat over time, thresholded.
+    grid : HeatGrid
+        The grid of both.
+    boxes : ndarray of int, shape (n, 4)
+    scores : ndarray of float, shape (n,)
+        Highest heat within each box.
+    """
+
+    hot_windows: np.ndarray
+    heatmap: np.ndarray
+    filtered: np.ndarray
+    grid: HeatGrid
+    boxes: np.ndarray
+    scores: np.ndarray
+
+
+class Vehicle:
+    """Finds vehicles in the frames of one video, handed over in order.
+
+    Frames are searched as the camera gave them. A calibration straightens
+    only the picture that is drawn: undistorting before the search would cut
+    off vehicles that enter at the border.
+
+    Parameters
+    ----------
+    path_calib : path or None
+        Calibration of `calibrate.py`; None draws on the frame as it is.
+    path_param : path
+        Classifier of `train.py`.
+    search : SearchParams
+    heat_filter : FilterParams
+    """
+
+    def __init__(
+        self,
+        path_calib=None,
+        path_param="param/svc_pickle.p",
+        search=SEARCH_PRESETS["G"],
+        heat_filter=FILTER_PRESETS["G"],
+    ):
+        self.calibration = None
+        if path_calib is not None:
+            self.load_calibration(path_calib)
+        self.load_param_detect(path_param)
+        self.search = search
+        self.heat_filter = heat_filter
+        self.reset()
+
+    def load_calibration(self, path):
+        """Read a calibration, see `calibrate.load_calibration`."""
+        self.calibration = calibrate.load_calibration(path)
+        self._maps = {}
+
+    def load_param_detect(self, path):
+        """Read a classifier, see `classifier.load_classifier`."""
+        self.classifier = load_classifier(path)
+
+    def reset(self):
+        """Forget all frames: the next one begins another video."""
+        self._grid = None
+        self._frame_shape = None
+        self._heatmaps = deque(maxlen=self.heat_filter.n_acc)
+
+    def process_image(self, rgb_frame):
+        """The next frame of the video with the vehicles boxed.
+
+        Parameters
+        ----------
+        rgb_frame : ndarray of uint8, shape (rows, columns, 3)
+
+        Returns
+        -------
+        rgb_frame : ndarray of uint8, shape (rows, columns, 3)
+            Undistorted if there is a calibration.
+        """
+        return self.draw(rgb_frame, self.detect(rgb_frame))
+
+    def detect(self, rgb_frame):
+        """Search the next frame of the video.
+
+        Parameters
+        ----------
+        rgb_frame : ndarray of uint8, shape (rows, columns, 3)
+
+        Returns
+        -------
+        detections : Detections
+
+        Raises
+        ------
+        ValueError
+            The frame is of another size than the one before.
+        """
+        if self._grid is None:
+            windows = slide_window(rgb_frame.shape, self.classifier.params, self.search)
+            self._grid = HeatGrid.of_windows(windows)
+            self._frame_shape = rgb_frame.shape
+        elif rgb_frame.shape != self._frame_shape:
+            raise ValueError(f"a frame of {rgb_frame.shape} after one of {self._frame_shape}")
+        windows, scores = find_cars(rgb_frame, self.classifier, self.search)
+        hot_windows = windows[scores > self.search.threshold]
+        heatmap = add_heat(self._grid.zeros(), self._grid.to_cells(hot_windows))
+        self._heatmaps.append(heatmap)
+        lasting = keep_lasting_heat(np.array(self._heatmaps), self.heat_filter.n_occ_thr)
+        filtered = apply_threshold(lasting, self.heat_filter.threshold)
+        cells, scores = find_blobs(filtered)
+        boxes = self._grid.to_pixels(cells)
+        return Detections(hot_windows, heatmap, filtered, self._grid, boxes, scores)
+
+    def draw(self, rgb_frame, detections):
+        """Boxes on the frame, then undistortion if there is a calibration."""
+        return self.undistort(draw_boxes(rgb_frame, detections.boxes))
+
+    def draw_split_screen(self, rgb_frame, detections):
+        """Hot windows, heatmap, filtered heatmap and boxes, two by two.
+
+        Returns
+        -------
+        picture : ndarray of uint8, shape (rows, columns, 3)
+            As large as the frame.
+        """
+        grid, shape = detections.grid, rgb_frame.shape
+        # A frame's heat fills the scale where all its windows of one size overlap.
+        summed = self.heat_filter.n_acc * _HEAT_FULL_SCALE
+        pictures = [
+            draw_boxes(rgb_frame, detections.hot_windows, thickness=2),
+            draw_heat(rgb_frame, grid.expand(detections.heatmap, shape), _HEAT_FULL_SCALE),
+            draw_heat(rgb_frame, grid.expand(detections.filtered, shape), summed),
+            draw_boxes(rgb_frame, detections.boxes),
+        ]
+        titles = ["hot windows", "heat of this frame", "heat that lasts", "vehicles"]
+        tiles = [
+            draw_title(shrink_to_half(self.undistort(picture)), title)
+            for picture, title in zip(pictures, titles, strict=True)
+        ]
+        halves = np.hstack(tiles[:2]), np.hstack(tiles[2:])
+        return np.vstack(halves)
+
+    def undistort(self, rgb_frame):
+        """The frame as a pinhole camera would see it; as it is without calibration."""
+        if self.calibration is None:
+            return rgb_frame
+        if rgb_frame.shape not in self._maps:
+            self._maps[rgb_frame.shape] = self.calibration.maps(rgb_frame.shape)
+        return cv2.remap(rgb_frame, *self._maps[rgb_frame.shape], cv2.INTER_LINEAR)
+
+
+_HEAT_FULL_SCALE = 8
+
+
+def draw_heat(img, heatmap, full_scale):
+    """The image darkened, with heat glowing on it.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        RGB.
+    heatmap : ndarray, shape (rows, columns)
+    full_scale : float
+        Heat that is drawn at its brightest.
+    """
+    level = np.clip(255 * heatmap / full_scale, 0, 255).astype(np.uint8)
+    glow = cv2.applyColorMap(level, cv2.COLORMAP_HOT)[..., ::-1]
+    return cv2.addWeighted(img, 0.4, glow, 0.9, 0)
+
+
+def draw_title(img, title):
+    """The image with a line of text at its top left."""
+    size = img.shape[0] / 500
+    place = round(20 * size), round(30 * size)
+    for color, thickness in (((0, 0, 0), 4), ((255, 255, 255), 1)):
+        img = cv2.putText(
+            img, title, place, cv2.FONT_HERSHEY_SIMPLEX, size, color, thickness, cv2.LINE_AA
+        )
+    return img
+
+
+def shrink_to_half(img):
+    """The image at half its width and height."""
+    return cv2.resize(img, (img.shape[1] // 2, img.shape[0] // 2), interpolation=cv2.INTER_AREA)

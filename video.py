@@ -1,0 +1,181 @@
+"""Videos in and out, a frame at a time.
+
+Reading, what is done with the frames, and writing overlap: each has a thread,
+and short queues between them keep memory flat however long the video is.
+"""
+
+import queue
+import threading
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from moviepy.video.io.ffmpeg_writer import FFMPEG_VideoWriter
+
+from files import written_whole
+
+_QUEUE_LENGTH = 8
+
+
+@dataclass(frozen=True)
+class VideoInfo:
+    """Size in pixels, frames a second, and how many frames the file promises."""
+
+    width: int
+    height: int
+    fps: float
+    n_frames: int
+
+
+def video_info(path):
+    """What a video's header says.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        The file is missing; it is no readable video.
+    """
+    capture = _open(path)
+    info = VideoInfo(
+        int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)),
+        int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
+        capture.get(cv2.CAP_PROP_FPS),
+        int(capture.get(cv2.CAP_PROP_FRAME_COUNT)),
+    )
+    capture.release()
+    return info
+
+
+def _open(path):
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"{path}: no such video")
+    capture = cv2.VideoCapture(str(path))
+    if not capture.isOpened() or not capture.get(cv2.CAP_PROP_FPS):
+        raise ValueError(f"{path}: not a readable video: convert it to mp4 or replace it")
+    return capture
+
+
+def read_frames(path):
+    """Yield the frames of a video as RGB uint8, read ahead by a thread.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        As `video_info`; or the video ends more than a second early.
+    """
+    info = video_info(path)
+    n_read = 0
+    for frame in _ahead(_decode(path)):
+        n_read += 1
+        yield frame
+    # Headers are often off by a frame or two, never by a second.
+    if n_read < info.n_frames - info.fps:
+        raise ValueError(
+            f"{path}: ends after {n_read} of {info.n_frames} frames: "
+            "the file is truncated, copy it again"
+        )
+
+
+def _decode(path):
+    capture = _open(path)
+    try:
+        while True:
+            read, frame = capture.read()
+            if not read:
+                return
+            yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
+    finally:
+        capture.release()
+
+
+def _ahead(items):
+    """Run a generator in a thread, a few items ahead of its reader."""
+    buffer = queue.Queue(_QUEUE_LENGTH)
+    stop = threading.Event()
+    end = object()
+
+    def fill():
+        try:
+            for item in items:
+                buffer.put(item)
+                if stop.is_set():
+                    return
+            buffer.put(end)
+        except Exception as error:
+            buffer.put(error)
+
+    thread = threading.Thread(target=fill, daemon=True)
+    thread.start()
+    try:
+        while (item := buffer.get()) is not end:
+            if isinstance(item, Exception):
+                raise item
+            yield item
+    finally:
+        stop.set()
+        while thread.is_alive():
+            # Room for the item that the thread may be waiting to put.
+            try:
+                buffer.get(timeout=0.01)
+            except queue.Empty:
+                continue
+
+
+@contextmanager
+def video_writer(path, info, preset="ultrafast"):
+    """A function that appends an RGB frame to a video; encoding runs beside it.
+
+    The file appears under its name when the block has succeeded.
+
+    Parameters
+    ----------
+    path : path
+        Its suffix picks the container.
+    info : VideoInfo
+        Size and frame rate.
+    preset : str
+        Of libx264: "ultrafast" to "veryslow", a larger file or a longer wait.
+
+    Yields
+    ------
+    write : callable
+        Takes an ndarray of uint8, shape (height, width, 3), RGB.
+
+    Raises
+    ------
+    ValueError
+        A frame of another size.
+    """
+    frames = queue.Queue(_QUEUE_LENGTH)
+    failure = []
+
+    def write(frame):
+        if frame.shape != (info.height, info.width, 3) or frame.dtype != np.uint8:
+            raise ValueError(f"{path}: a frame of {frame.shape} does not fit the video")
+        if failure:
+            raise failure[0]
+        frames.put(frame)
+
+    def encode(partial):
+        size = (info.width, info.height)
+        try:
+            with FFMPEG_VideoWriter(str(partial), size, info.fps, preset=preset) as encoder:
+                while (frame := frames.get()) is not None:
+                    encoder.write_frame(frame)
+        except Exception as error:
+            failure.append(error)
+            while frames.get() is not None:
+                continue
+
+    with written_whole(path) as partial:
+        thread = threading.Thread(target=encode, args=(partial,), daemon=True)
+        thread.start()
+        try:
+            yield write
+        finally:
+            frames.put(None)
+            thread.join()
+        if failure:
+            raise failure[0]
