@@ -232,9 +232,10 @@ def draw_title(img, title):
     """The image with a line of text at its top left."""
     size = img.shape[0] / 500
     place = round(20 * size), round(30 * size)
-    for color, thickness in (((0, 0, 0), 4), ((255, 255, 255), 1)):
+    for color, shift in (((0, 0, 0), 1), ((255, 255, 255), 0)):
+        where = place[0] + shift, place[1] + shift
         img = cv2.putText(
-            img, title, place, cv2.FONT_HERSHEY_SIMPLEX, size, color, thickness, cv2.LINE_AA
+            img, title, where, cv2.FONT_HERSHEY_SIMPLEX, size, color, 1, cv2.LINE_AA
         )
     return img
 

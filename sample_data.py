@@ -1,0 +1,322 @@
+"""Render everything the pipeline needs, for a machine that has no footage.
+
+    python sample_data.py output/sample
+
+writes training images of both classes, six test images, a driving video,
+chessboard photos, and the true boxes. The same seed gives the same pictures.
+"""
+
+import argparse
+import sys
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+from joblib import Parallel, delayed
+from tqdm import tqdm
+
+from files import write_image, write_whole
+from render import (
+    BODIES,
+    PAINTS,
+    Actor,
+    Camera,
+    make_world,
+    perspective_through_lens,
+    render,
+)
+from video import VideoInfo, video_writer
+
+FPS = 25
+_CLASS_CAR = 3
+
+
+def parse_arguments(arguments=None):
+    """Command line to a namespace; `--help` explains it."""
+    parser = argparse.ArgumentParser(
+        description="Render training images, test images, a video and chessboard photos.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    parser.add_argument("out", type=Path, help="folder to write to")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--only", nargs="+", choices=PARTS, default=list(PARTS), help="parts to render"
+    )
+    parser.add_argument("--scenes", type=int, default=260, help="scenes to cut images from")
+    parser.add_argument("--seconds", type=float, default=20, help="length of the video")
+    parser.add_argument("--jobs", type=int, default=-1, help="processes; -1: one a core")
+    return parser.parse_args(arguments)
+
+
+def in_parallel(function, items, jobs, title):
+    """Yield function(item) of all items in order, on several cores, with a progress bar."""
+    results = Parallel(n_jobs=jobs, return_as="generator")(delayed(function)(i) for i in items)
+    yield from tqdm(results, title, len(items))
+
+
+# -------------------------------------------------------------------- scenes
+
+
+def random_scene(seed):
+    """A world of its own with traffic around the camera.
+
+    Returns
+    -------
+    world : World
+    """
+    rng = np.random.default_rng([seed, 10])
+    empty = make_world(seed)
+    actors = []
+    for lane in range(empty.n_lanes):
+        distance = rng.uniform(5, 22)
+        while distance < 95:
+            kind = str(rng.choice(list(BODIES), p=(0.34, 0.24, 0.22, 0.12, 0.08)))
+            actors.append(
+                Actor(
+                    identity=len(actors) + 1,
+                    kind=kind,
+                    paint=PAINTS[rng.integers(len(PAINTS))],
+                    distance=float(distance),
+                    speed=0.0,
+                    lane=lane + float(rng.normal(0, 0.06)),
+                    size=float(rng.uniform(0.94, 1.07)),
+                    style=int(rng.integers(1_000_000)),
+                )
+            )
+            distance += BODIES[kind].length + rng.uniform(7, 45)
+    return make_world(seed, actors)
+
+
+def driving_world(seed):
+    """The world of the video: overtaking, falling back, changing lanes, oncoming.
+
+    Returns
+    -------
+    world : World
+    """
+    rng = np.random.default_rng([seed, 11])
+    # The first seed from here on whose road has a lane on each side.
+    world = next(
+        w for w in map(make_world, range(seed + 50, seed + 150))
+        if w.n_lanes >= 3 and 0 < w.own_lane < w.n_lanes - 1
+    )  # fmt: skip
+    own = world.own_lane
+    ways = (
+        ("saloon", -7, 3.2, own + 1, 0, 0), ("suv", 18, 0.9, own - 1, 1, 7),
+        ("estate", 30, 1.4, own + 1, 0, 0), ("truck", 95, -3.4, own + 1, 0, 0),
+        ("van", 62, -1.7, own - 1, 0, 0), ("saloon", 46, 0.4, own, 0, 0),
+        ("estate", -38, 4.1, own - 1, 0, 0),
+    )  # fmt: skip
+    actors = [
+        Actor(i, kind, PAINTS[rng.integers(len(PAINTS))], distance, speed, lane, change, when,
+              size=float(rng.uniform(0.96, 1.05)), style=int(rng.integers(1_000_000)))
+        for i, (kind, distance, speed, lane, change, when) in enumerate(ways, start=1)
+    ]  # fmt: skip
+    kinds = rng.choice(["saloon", "estate", "suv", "van"], size=12)
+    actors += [
+        Actor(100 + i, str(kind), PAINTS[rng.integers(len(PAINTS))], 90.0 + 85 * i, -56.0,
+              -2.2 - i % 2, oncoming=True, style=i)
+        for i, kind in enumerate(kinds)
+    ]  # fmt: skip
+    return make_world(world.seed, actors)
+
+
+def truth_rows(frame_number, truth):
+    """True boxes of one frame as rows of a MOTChallenge file.
+
+    Returns
+    -------
+    rows : list of str
+        frame,id,left,top,width,height,conf,class,visibility; conf 0 marks a
+        region in which detections are neither right nor wrong.
+    """
+    rows = []
+    for box in truth:
+        left, top, right, bottom = box.box
+        rows.append(
+            f"{frame_number},{box.identity},{left:.1f},{top:.1f},{right - left:.1f},"
+            f"{bottom - top:.1f},{int(box.required)},{_CLASS_CAR},{box.visible:.2f}\n"
+        )
+    return rows
+
+
+# ------------------------------------------------------------ training images
+
+
+def cut(frame, box, size=64):
+    """A box of a frame, resized to a square; None if it leaves the frame.
+
+    Parameters
+    ----------
+    frame : ndarray of uint8, shape (rows, columns, 3)
+    box : (left, top, right, bottom)
+    size : int
+    """
+    left, top, right, bottom = (round(edge) for edge in box)
+    rows, columns = frame.shape[:2]
+    if left < 0 or top < 0 or right > columns or bottom > rows or right - left < 8:
+        return None
+    return cv2.resize(
+        frame[top:bottom, left:right], (size, size), interpolation=cv2.INTER_AREA
+    )
+
+
+def vehicle_cuts(frame, truth, rng):
+    """Images of the vehicles of a frame, framed as the public training sets frame them.
+
+    Half are tight and squashed to a square as KITTI's are, half squares with
+    a margin as GTI's are.
+    """
+    images = []
+    for box in truth:
+        left, top, right, bottom = box.box
+        width, height = right - left, bottom - top
+        if not box.required or box.visible < 0.75 or height < 26:
+            continue
+        x, y = (left + right) / 2, (top + bottom) / 2
+        square = max(width, height)
+        for side_x, side_y in ((width, height), (square, square)):
+            margin = rng.uniform(1.0, 1.12) if side_x != side_y else rng.uniform(1.02, 1.25)
+            dx, dy = rng.uniform(-0.05, 0.05, size=2) * (side_x, side_y)
+            half_x, half_y = margin * side_x / 2, margin * side_y / 2
+            image = cut(
+                frame, (x + dx - half_x, y + dy - half_y, x + dx + half_x, y + dy + half_y)
+            )
+            if image is not None:
+                images.append(image)
+    return images
+
+
+def other_cuts(frame, truth, rng, count):
+    """Squares of a frame that hold no vehicle, most of them at the height of the road."""
+    images = []
+    while len(images) < count:
+        side = rng.uniform(44, 240)
+        x = rng.uniform(0, frame.shape[1] - side)
+        y = rng.uniform(0.45, 0.95) * frame.shape[0] - side / 2
+        box = np.array([x, y, x + side, y + side])
+        if all(_covered(box, other.box) < 0.08 for other in truth):
+            image = cut(frame, box)
+            if image is not None:
+                images.append(image)
+    return images
+
+
+def _covered(box, other):
+    """Share of a box that another covers, or the other way round if that is more."""
+    width = min(box[2], other[2]) - max(box[0], other[0])
+    height = min(box[3], other[3]) - max(box[1], other[1])
+    areas = [(b[2] - b[0]) * (b[3] - b[1]) for b in (box, other)]
+    return max(0, width) * max(0, height) / min(areas)
+
+
+def scene_cuts(seed):
+    """Training images of both classes from one scene."""
+    rng = np.random.default_rng([seed, 12])
+    frame, truth = render(random_scene(seed), 0.0)
+    vehicles = vehicle_cuts(frame, truth, rng)
+    return vehicles, other_cuts(frame, truth, rng, max(6, len(vehicles)))
+
+
+def write_training_images(arguments):
+    """Write vehicles/ and non-vehicles/, and say how many."""
+    seeds = range(arguments.seed + 1000, arguments.seed + 1000 + arguments.scenes)
+    counts = {"vehicles": 0, "non-vehicles": 0}
+    for images in in_parallel(scene_cuts, seeds, arguments.jobs, "training images"):
+        for folder, cuts in zip(counts, images, strict=True):
+            for image in cuts:
+                path = arguments.out / folder / f"{counts[folder]:05d}.png"
+                write_image(path, image)
+                counts[folder] += 1
+    print(", ".join(f"{count} {folder}" for folder, count in counts.items()))
+
+
+# ------------------------------------------------------- test images and video
+
+
+def write_test_images(arguments):
+    """Write test_images/ and their true boxes."""
+    rows = []
+    folder = arguments.out / "test_images"
+    seeds = range(arguments.seed + 100, arguments.seed + 106)
+    scenes = [random_scene(seed) for seed in seeds]
+    frames = in_parallel(partial(render, time=0.0), scenes, arguments.jobs, "test images")
+    for number, (frame, truth) in enumerate(frames, start=1):
+        write_image(folder / f"test{number}.jpg", frame)
+        rows += truth_rows(number, truth)
+    write_whole(folder / "test_images.gt.txt", "".join(rows))
+
+
+def write_video(arguments):
+    """Write videos/drive.mp4 and its true boxes."""
+    world = driving_world(arguments.seed)
+    times = np.arange(round(arguments.seconds * FPS)) / FPS
+    info = VideoInfo(world.camera.width, world.camera.height, FPS, len(times))
+    folder = arguments.out / "videos"
+    rows = []
+    with video_writer(folder / "drive.mp4", info, preset="medium") as write:
+        frames = in_parallel(partial(render, world), times, arguments.jobs, "video")
+        for number, (frame, truth) in enumerate(frames, start=1):
+            write(frame)
+            rows += truth_rows(number, truth)
+    write_whole(folder / "drive.gt.txt", "".join(rows))
+
+
+# ---------------------------------------------------------------- chessboards
+
+
+def chessboard_photo(seed, columns=9, rows=6):
+    """A chessboard with this many inner corners, held in front of the camera.
+
+    Returns
+    -------
+    photo : ndarray of uint8, shape (height, width, 3)
+    """
+    rng = np.random.default_rng([seed, 13])
+    square, border = 80, 60
+    y, x = np.mgrid[: (rows + 1) * square, : (columns + 1) * square] // square
+    board = np.where((x + y) % 2, 20, 235).astype(np.uint8)
+    board = np.pad(board, border, constant_values=235)
+    height, width = board.shape
+    turn, _ = cv2.Rodrigues(rng.uniform(-0.45, 0.45, size=3))
+    corners = np.array([(0, 0), (width, 0), (width, height), (0, height)])
+    flat = np.column_stack([corners - (width / 2, height / 2), np.zeros(4)]) / square
+    # Far enough away to be whole, near enough to fill much of the picture.
+    points = flat @ turn.T + (rng.uniform(-2.5, 2.5), rng.uniform(-1.2, 1.2), rng.uniform(12, 17))
+    camera = Camera()
+    pixels = points[:, :2] / points[:, 2:] * camera.focal + camera.center
+    photo = perspective_through_lens(camera, board, corners, pixels, background=105)
+    photo = cv2.GaussianBlur(photo, (0, 0), 0.8) + rng.normal(0, 2, photo.shape)
+    return np.repeat(np.clip(photo, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def write_chessboards(arguments):
+    """Write camera_cal/, photos of a chessboard through the same lens."""
+    seeds = range(arguments.seed, arguments.seed + 14)
+    photos = in_parallel(chessboard_photo, seeds, arguments.jobs, "chessboards")
+    for number, photo in enumerate(photos, start=1):
+        write_image(arguments.out / "camera_cal" / f"calibration{number}.jpg", photo)
+
+
+PARTS = {
+    "training": write_training_images,
+    "images": write_test_images,
+    "video": write_video,
+    "chessboards": write_chessboards,
+}
+
+
+def main():
+    """Run the command line."""
+    arguments = parse_arguments()
+    try:
+        for part in arguments.only:
+            PARTS[part](arguments)
+    except (OSError, ValueError) as error:
+        sys.exit(f"error: {error}")
+    print(f"wrote {arguments.out}")
+
+
+if __name__ == "__main__":
+    main()
