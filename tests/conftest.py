@@ -1,0 +1,50 @@
+"""What several tests share: random images, a small classifier, the real data."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from sklearn.preprocessing import StandardScaler
+from sklearn.svm import SVC, LinearSVC
+
+from classifier import Classifier
+from pipeline_functions import FEATURE_PRESETS
+
+ROOT = Path(__file__).parent.parent
+SHARED = ROOT.parent / "shared"
+
+
+@pytest.fixture
+def real_data():
+    """Folder of the real data; skips where there is none."""
+    if not (SHARED / "udacity").is_dir():
+        pytest.skip("no real data: ../shared is missing")
+    return SHARED
+
+
+def textured_image(seed, rows, columns):
+    """An RGB image with smooth areas, edges in all directions, and flat spots."""
+    rng = np.random.default_rng(seed)
+    coarse = rng.integers(0, 256, size=(rows // 8 + 2, columns // 8 + 2, 3)).astype(np.uint8)
+    img = cv2.resize(coarse, (columns, rows), interpolation=cv2.INTER_CUBIC)
+    img = np.where(rng.random((rows, columns, 1)) < 0.3, rng.integers(0, 256, 3), img)
+    img[: rows // 3, : columns // 4] = rng.integers(0, 256)
+    return img.astype(np.uint8)
+
+
+def random_classifier(params, seed=0, kernel="linear"):
+    """A classifier fitted to noise: any weights do to compare two ways of scoring."""
+    rng = np.random.default_rng(seed)
+    features = rng.normal(5, 3, size=(40, params.n_features)).astype(np.float32)
+    labels = np.arange(40) % 2
+    scaler = StandardScaler().fit(features)
+    svm = LinearSVC(C=0.01) if kernel == "linear" else SVC(kernel=kernel)
+    svm.fit(scaler.transform(features), labels)
+    return Classifier(svm, scaler, params, {"vehicles": 20, "non-vehicles": 20})
+
+
+@pytest.fixture(scope="session")
+def classifier_g():
+    """A classifier of preset G with random weights."""
+    return random_classifier(FEATURE_PRESETS["G"])

@@ -1,0 +1,86 @@
+"""Dense HOG against scikit-image's, above all on the edges between bins."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skimage.feature import hog
+
+from conftest import textured_image
+from dense_hog import hog_blocks, tile_histograms
+
+
+def reference(channel, orientations, cell, block):
+    return hog(
+        channel, orientations, (cell, cell), (block, block),
+        block_norm="L2-Hys", transform_sqrt=True, feature_vector=False,
+    )  # fmt: skip
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    rows=st.integers(16, 70),
+    columns=st.integers(16, 90),
+    orientations=st.integers(1, 18),
+    cell=st.integers(2, 16),
+    block=st.integers(1, 3),
+)
+def test_equals_scikit_image(seed, rows, columns, orientations, cell, block):
+    channel = textured_image(seed, rows, columns)[..., 0]
+    if min(rows, columns) < cell * block:
+        with pytest.raises(ValueError, match="smaller than one HOG block"):
+            hog_blocks(channel, orientations, cell, block)
+        return
+    expected = reference(channel, orientations, cell, block)
+    np.testing.assert_allclose(
+        hog_blocks(channel, orientations, cell, block), expected, atol=2e-6
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    orientations=st.sampled_from([2, 3, 4, 6, 8, 9, 12, 16]),
+    levels=st.sampled_from(
+        [(0, 255), (0, 1, 2, 4, 8), (0, 3, 12, 27), (1, 4, 9, 16), (0, 50, 100, 200)]
+    ),
+)
+def test_gradients_on_the_edge_of_a_bin(seed, orientations, levels):
+    # Few levels, chosen for their square roots: axes, diagonals, 30, 60, 22.5
+    # degrees turn up all over, and rounding alone decides between two bins.
+    rng = np.random.default_rng(seed)
+    channel = rng.choice(np.array(levels, np.uint8), size=(48, 48))
+    expected = reference(channel, orientations, 8, 2)
+    np.testing.assert_allclose(hog_blocks(channel, orientations, 8, 2), expected, atol=2e-6)
+
+
+def test_flat_image_has_no_gradient():
+    assert not hog_blocks(np.full((16, 16), 77, np.uint8), 9, 8, 1).any()
+
+
+def test_vertical_edge_is_in_the_first_bin():
+    channel = np.zeros((16, 16), np.uint8)
+    channel[:, 8:] = 100
+    blocks = hog_blocks(channel, 8, 16, 1)
+    np.testing.assert_allclose(blocks.ravel(), [1, 0, 0, 0, 0, 0, 0, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "channel", [np.zeros((16, 16), np.float32), np.zeros((16, 16, 3), np.uint8)]
+)
+def test_refuses_what_is_no_channel(channel):
+    with pytest.raises(ValueError, match="one uint8 channel"):
+        hog_blocks(channel, 9, 8, 2)
+
+
+def test_tile_histograms_by_numpy():
+    channel = textured_image(3, 40, 56)[..., 1]
+    bin_of_value = np.arange(256) // 32
+    tiles = tile_histograms(channel, bin_of_value, 8, 8)
+    assert tiles.shape == (5, 7, 8)
+    for row in range(5):
+        for column in range(7):
+            tile = channel[8 * row : 8 * row + 8, 8 * column : 8 * column + 8]
+            expected, _ = np.histogram(tile, 8, (0, 256))
+            np.testing.assert_array_equal(tiles[row, column], expected)
