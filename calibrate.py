@@ -1,6 +1,6 @@
 """Calibrate a camera from photos of a chessboard.
 
-    python calibrate.py FOLDER --out param/calib.p
+python calibrate.py FOLDER --out param/calib.p
 """
 
 import argparse
@@ -52,9 +52,7 @@ class Calibration:
                 f"and does not fit frames of {width}x{height}"
             )
         mtx = self.mtx * [[ratio], [ratio], [1]]
-        return cv2.initUndistortRectifyMap(
-            mtx, self.dist, None, mtx, (width, height), cv2.CV_16SC2
-        )
+        return cv2.initUndistortRectifyMap(mtx, self.dist, None, mtx, (width, height), cv2.CV_16SC2)
 
 
 def find_corners(img, pattern):
@@ -122,9 +120,7 @@ def calibrate(paths, pattern=(9, 6)):
             "corners, at least 3 are needed"
         )
     size = sizes.most_common(1)[0][0]
-    error, mtx, dist, _, _ = cv2.calibrateCamera(
-        [board] * len(corners), corners, size, None, None
-    )
+    error, mtx, dist, _, _ = cv2.calibrateCamera([board] * len(corners), corners, size, None, None)
     return Calibration(mtx, dist.reshape(1, -1), size), error, skipped
 
 

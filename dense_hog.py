@@ -28,8 +28,7 @@ _FIXED_ROOT = np.rint(_ROOT * _FIXED_POINT).astype(np.int32)
 
 # arctan(x) / pi for x in 0..1, odd powers 1, 3, 5, 7, 9.
 _A1, _A3, _A5, _A7, _A9 = (
-    np.float32(a / np.pi)
-    for a in (0.9998660, -0.3302995, 0.1801410, -0.0851330, 0.0208351)
+    np.float32(a / np.pi) for a in (0.9998660, -0.3302995, 0.1801410, -0.0851330, 0.0208351)
 )
 
 _UNSETTLED = np.int32(-1)
@@ -72,9 +71,7 @@ def hog_blocks(channel, orientations, pix_per_cell, cells_per_block):
 def _cell_histograms(channel, orientations, pix_per_cell):
     """Mean gradient magnitude per orientation and cell, as float32."""
     rows, columns = channel.shape
-    histograms = np.zeros(
-        (rows // pix_per_cell, columns // pix_per_cell, orientations), np.float32
-    )
+    histograms = np.zeros((rows // pix_per_cell, columns // pix_per_cell, orientations), np.float32)
     unsettled = np.empty((channel.size, 2), np.int32)
     n_unsettled = _vote(channel, pix_per_cell, histograms, unsettled)
     _vote_exactly(channel, pix_per_cell, histograms, unsettled[:n_unsettled])

@@ -1,6 +1,6 @@
 """Find the vehicles in images and videos, without a notebook.
 
-    python detect.py INPUT... --out DIR
+python detect.py INPUT... --out DIR
 """
 
 import argparse
@@ -180,9 +180,7 @@ def main():
                 annotate_image(path, arguments.out, still)
         for path in videos:
             vehicle = Vehicle(*paths, heat_filter=FILTER_PRESETS[arguments.filter])
-            annotate_video(
-                path, arguments.out, vehicle, arguments.split_screen, arguments.preset
-            )
+            annotate_video(path, arguments.out, vehicle, arguments.split_screen, arguments.preset)
     except (OSError, ValueError) as error:
         sys.exit(f"error: {error}")
     print(f"wrote {len(images)} images and {len(videos)} videos to {arguments.out}")

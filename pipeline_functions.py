@@ -402,9 +402,7 @@ def _hog_channels(params):
 
 def _hog_windows(channel, params, cells_per_step):
     """HOG blocks of one channel of every window."""
-    blocks = hog_blocks(
-        channel, params.orientations, params.pix_per_cell, params.cells_per_block
-    )
+    blocks = hog_blocks(channel, params.orientations, params.pix_per_cell, params.cells_per_block)
     extent = params.window_size // params.pix_per_cell - params.cells_per_block + 1
     windows = sliding_window_view(blocks, (extent, extent), axis=(0, 1))
     windows = windows[::cells_per_step, ::cells_per_step]
@@ -475,9 +473,7 @@ def slide_window(frame_shape, params, search):
         shape = (band.resized_rows, band.resized_columns)
         rows, columns = _window_counts(shape, params.window_size, step)
         top, left = np.mgrid[:rows, :columns].reshape(2, -1) * step
-        corners = np.stack(
-            [left, top, left + params.window_size, top + params.window_size], axis=1
-        )
+        corners = np.stack([left, top, left + params.window_size, top + params.window_size], axis=1)
         windows.append(np.rint(corners * band.scale).astype(int) + (0, band.top, 0, band.top))
     if not windows:
         raise ValueError(

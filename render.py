@@ -591,9 +591,7 @@ def _mix(color, other, share):
         for column in range(color.shape[1]):
             for c in range(3):
                 start = color[row, column, c]
-                mixed[row, column, c] = start + share[row, column] * (
-                    other[row, column, c] - start
-                )
+                mixed[row, column, c] = start + share[row, column] * (other[row, column, c] - start)
     return mixed
 
 
@@ -721,7 +719,7 @@ def _paste(picture, sprite, matrix, haze):
     shifted = matrix - [[0, 0, left], [0, 0, top]]
     placed = cv2.warpAffine(sprite, shifted, (right - left, bottom - top))
     region = picture[top:bottom, left:right]
-    color = placed[..., :3] + (placed[..., 3:] > 0) * haze * (np.array((0.7, 0.76, 0.82)) - placed[..., :3])
+    color = placed[..., :3] + haze * (np.float32((0.7, 0.76, 0.82)) - placed[..., :3])
     picture[top:bottom, left:right] = region + placed[..., 3:] * (color - region)
 
 
@@ -748,7 +746,8 @@ def _draw_sign(view, picture, x, z, sort):
     for left, right, bottom, top, shade in (
         (x - 0.9, x - 0.8, 0, 2.4, (0.4, 0.4, 0.4)), (x + 0.8, x + 0.9, 0, 2.4, (0.4, 0.4, 0.4)),
         (x - 1.5, x + 1.5, 2.2, 4.2, (0.9, 0.9, 0.9)), (x - 1.43, x + 1.43, 2.27, 4.13, color),
-        (x - 1.1, x + 0.7, 3.4, 3.65, (0.9, 0.9, 0.9)), (x - 1.1, x + 0.2, 2.8, 3.05, (0.9, 0.9, 0.9)),
+        (x - 1.1, x + 0.7, 3.4, 3.65, (0.9, 0.9, 0.9)),
+        (x - 1.1, x + 0.2, 2.8, 3.05, (0.9, 0.9, 0.9)),
     ):  # fmt: skip
         pixels = view.pixels(
             np.array([left, right, right, left]), np.array([bottom, bottom, top, top]),
@@ -767,7 +766,11 @@ def _draw_rails(view, picture):
     stations = np.geomspace(3.2, 300, 70)
     for near, far in zip(stations[-2::-1], stations[:0:-1], strict=True):
         z = np.array([near, far])
-        rough = 1 + 0.08 * _noise(world.seed + 8, np.float32([[near + view.s0]]), np.float32([[3]]), 40.0)[0, 0]
+        rough = (
+            1
+            + 0.08
+            * _noise(world.seed + 8, np.float32([[near + view.s0]]), np.float32([[3]]), 40.0)[0, 0]
+        )
         sides = [edge + 3.0]
         if world.left_wall:
             wall = np.array((0.50, 0.49, 0.46)) * rough * (0.8 + 0.4 * (world.sun[0] > 0))
@@ -834,9 +837,7 @@ def _rasterise(screen, inverse_depth, attributes, materials, depth, surface, mat
                 material[row, column] = materials[t]
                 for k in range(6):
                     surface[row, column, k] = (
-                        a * attributes[t, 0, k]
-                        + b * attributes[t, 1, k]
-                        + c * attributes[t, 2, k]
+                        a * attributes[t, 0, k] + b * attributes[t, 1, k] + c * attributes[t, 2, k]
                     ) / total
 
 
@@ -858,7 +859,15 @@ def _actor_mesh(view, actor, time):
 
 
 def _draw_actor(view, picture, actor, time):
-    """Draw one vehicle. Returns its coverage (rows, columns) and its box in the frame."""
+    """Draw one vehicle.
+
+    Returns
+    -------
+    coverage : (left, top, ndarray of float32), or None if nothing is to be seen
+        How much of each pixel it covers, and where in the picture that is.
+    box : ndarray of float, shape (4,), or None
+        In pixels of the frame.
+    """
     placed, facing, own, materials = _actor_mesh(view, actor, time)
     seen = placed[:, :, 2].min(axis=1) > 1.0
     placed, facing, own, materials = placed[seen], facing[seen], own[seen], materials[seen]
@@ -893,10 +902,8 @@ def _draw_actor(view, picture, actor, time):
     rgb = small[..., :3] * (1 - haze) + alpha * haze * np.array((0.7, 0.76, 0.82))
     region = picture[top:bottom, left:right]
     picture[top:bottom, left:right] = region * (1 - alpha) + rgb
-    coverage = np.zeros(picture.shape[:2], np.float32)
-    coverage[top:bottom, left:right] = alpha[..., 0]
     outline = view.distorted(x, y, z)
-    return coverage, np.concatenate([outline.min(axis=0), outline.max(axis=0)])
+    return (left, top, alpha[..., 0]), np.concatenate([outline.min(axis=0), outline.max(axis=0)])
 
 
 def _environment(direction):
@@ -1101,14 +1108,29 @@ def _truth_boxes(world, drawn):
         inside, share = _cut(world, box)
         if share < 0.02:
             continue
-        free = coverage.copy()
-        for _, nearer, _ in drawn[i + 1 :]:
-            if nearer is not None:
-                free *= 1 - nearer
-        visible = share * float(free.sum() / max(coverage.sum(), 1e-9))
-        required = visible >= 0.5 and inside[3] - inside[1] >= 30
+        visible = share * _free_share(coverage, [nearer for _, nearer, _ in drawn[i + 1 :]])
+        required = bool(visible >= 0.5 and inside[3] - inside[1] >= 30)
         truth.append(TruthBox(actor.identity, tuple(inside.tolist()), required, visible))
     return truth
+
+
+def _free_share(coverage, nearer_ones):
+    """How much of a coverage nearer coverages leave to be seen, 0..1."""
+    left, top, alpha = coverage
+    rows, columns = alpha.shape
+    free = alpha.copy()
+    for nearer in nearer_ones:
+        if nearer is None:
+            continue
+        x, y, other = nearer
+        first_row, last_row = max(0, y - top), min(rows, y - top + other.shape[0])
+        first, last = max(0, x - left), min(columns, x - left + other.shape[1])
+        if first_row < last_row and first < last:
+            hiding = other[
+                first_row + top - y : last_row + top - y, first + left - x : last + left - x
+            ]
+            free[first_row:last_row, first:last] *= 1 - hiding
+    return float(free.sum() / max(alpha.sum(), 1e-9))
 
 
 def _ignored_boxes(world, hidden):
@@ -1123,10 +1145,20 @@ def _ignored_boxes(world, hidden):
 def _sensor(world, picture, time):
     """Lens, blur, exposure, noise, 8 bits."""
     rng = np.random.default_rng([world.seed, 6, round(time * 1000)])
-    frame = through_lens(world.camera, picture * world.exposure)
-    frame = cv2.GaussianBlur(frame, (0, 0), 0.7)
-    # A fixed tone curve: contrast in the middle, soft in the lights.
-    frame = np.clip(frame, 0, 1.3)
-    frame = frame * (1 + 0.25 * frame) / (1 + 0.25 * frame**2 + 0.12)
-    frame = 255 * frame + rng.normal(0, 1.6, frame.shape[:2] + (1,))
-    return np.clip(np.rint(frame), 0, 255).astype(np.uint8)
+    frame = cv2.GaussianBlur(through_lens(world.camera, picture), (0, 0), 0.7)
+    noise = 1.6 * rng.standard_normal(frame.shape[:2], np.float32)
+    return _develop(frame, np.float32(world.exposure), noise)
+
+
+@njit(cache=True, nogil=True)
+def _develop(frame, exposure, noise):
+    """A fixed tone curve, contrast in the middle and soft in the lights; noise; 8 bits."""
+    developed = np.empty(frame.shape, np.uint8)
+    for row in range(frame.shape[0]):
+        for column in range(frame.shape[1]):
+            for c in range(3):
+                light = min(max(frame[row, column, c] * exposure, 0.0), 1.3)
+                tone = light * (1 + 0.25 * light) / (1.12 + 0.25 * light * light)
+                value = 255 * tone + noise[row, column]
+                developed[row, column, c] = np.uint8(min(max(np.rint(value), 0.0), 255.0))
+    return developed

@@ -157,9 +157,7 @@ def cut(frame, box, size=64):
     rows, columns = frame.shape[:2]
     if left < 0 or top < 0 or right > columns or bottom > rows or right - left < 8:
         return None
-    return cv2.resize(
-        frame[top:bottom, left:right], (size, size), interpolation=cv2.INTER_AREA
-    )
+    return cv2.resize(frame[top:bottom, left:right], (size, size), interpolation=cv2.INTER_AREA)
 
 
 def vehicle_cuts(frame, truth, rng):
@@ -180,9 +178,7 @@ def vehicle_cuts(frame, truth, rng):
             margin = rng.uniform(1.0, 1.12) if side_x != side_y else rng.uniform(1.02, 1.25)
             dx, dy = rng.uniform(-0.05, 0.05, size=2) * (side_x, side_y)
             half_x, half_y = margin * side_x / 2, margin * side_y / 2
-            image = cut(
-                frame, (x + dx - half_x, y + dy - half_y, x + dx + half_x, y + dy + half_y)
-            )
+            image = cut(frame, (x + dx - half_x, y + dy - half_y, x + dx + half_x, y + dy + half_y))
             if image is not None:
                 images.append(image)
     return images

@@ -1,6 +1,6 @@
 """Train the classifier: two folders of images in, one parameter file out.
 
-    python train.py DATA/vehicles DATA/non-vehicles --out param/svc_pickle.p
+python train.py DATA/vehicles DATA/non-vehicles --out param/svc_pickle.p
 """
 
 import argparse

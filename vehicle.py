@@ -20,6 +20,9 @@ from pipeline_functions import (
     slide_window,
 )
 
+# Hot windows on one place that the pictures of heat show at their brightest.
+_HEAT_FULL_SCALE = 8
+
 
 @dataclass(frozen=True)
 class FilterParams:
@@ -175,30 +178,41 @@ class Vehicle:
         """Boxes on the frame, then undistortion if there is a calibration."""
         return self.undistort(draw_boxes(rgb_frame, detections.boxes))
 
+    def step_pictures(self, rgb_frame, detections):
+        """Hot windows, heat, heat that lasts and boxes, each drawn on the frame.
+
+        Returns
+        -------
+        pictures : list of four ndarray of uint8, shape (rows, columns, 3)
+        """
+        grid, shape = detections.grid, rgb_frame.shape
+        heat, lasting = (
+            grid.expand(heatmap, shape) for heatmap in (detections.heatmap, detections.filtered)
+        )
+        pictures = [
+            draw_boxes(rgb_frame, detections.hot_windows, thickness=2),
+            draw_heat(rgb_frame, heat, _HEAT_FULL_SCALE),
+            draw_heat(rgb_frame, lasting, _HEAT_FULL_SCALE * self.heat_filter.n_acc),
+            draw_boxes(rgb_frame, detections.boxes),
+        ]
+        return [self.undistort(picture) for picture in pictures]
+
     def draw_split_screen(self, rgb_frame, detections):
-        """Hot windows, heatmap, filtered heatmap and boxes, two by two.
+        """The four of `step_pictures` in one picture as large as the frame.
 
         Returns
         -------
         picture : ndarray of uint8, shape (rows, columns, 3)
-            As large as the frame.
         """
-        grid, shape = detections.grid, rgb_frame.shape
-        # A frame's heat fills the scale where all its windows of one size overlap.
-        summed = self.heat_filter.n_acc * _HEAT_FULL_SCALE
-        pictures = [
-            draw_boxes(rgb_frame, detections.hot_windows, thickness=2),
-            draw_heat(rgb_frame, grid.expand(detections.heatmap, shape), _HEAT_FULL_SCALE),
-            draw_heat(rgb_frame, grid.expand(detections.filtered, shape), summed),
-            draw_boxes(rgb_frame, detections.boxes),
-        ]
+        rows, columns = rgb_frame.shape[:2]
+        picture = np.zeros_like(rgb_frame)
+        quarter = columns // 2, rows // 2
         titles = ["hot windows", "heat of this frame", "heat that lasts", "vehicles"]
-        tiles = [
-            draw_title(shrink_to_half(self.undistort(picture)), title)
-            for picture, title in zip(pictures, titles, strict=True)
-        ]
-        halves = np.hstack(tiles[:2]), np.hstack(tiles[2:])
-        return np.vstack(halves)
+        for i, step in enumerate(self.step_pictures(rgb_frame, detections)):
+            tile = draw_title(cv2.resize(step, quarter, interpolation=cv2.INTER_AREA), titles[i])
+            top, left = i // 2 * quarter[1], i % 2 * quarter[0]
+            picture[top : top + quarter[1], left : left + quarter[0]] = tile
+        return picture
 
     def undistort(self, rgb_frame):
         """The frame as a pinhole camera would see it; as it is without calibration."""
@@ -207,9 +221,6 @@ class Vehicle:
         if rgb_frame.shape not in self._maps:
             self._maps[rgb_frame.shape] = self.calibration.maps(rgb_frame.shape)
         return cv2.remap(rgb_frame, *self._maps[rgb_frame.shape], cv2.INTER_LINEAR)
-
-
-_HEAT_FULL_SCALE = 8
 
 
 def draw_heat(img, heatmap, full_scale):
@@ -234,12 +245,5 @@ def draw_title(img, title):
     place = round(20 * size), round(30 * size)
     for color, shift in (((0, 0, 0), 1), ((255, 255, 255), 0)):
         where = place[0] + shift, place[1] + shift
-        img = cv2.putText(
-            img, title, where, cv2.FONT_HERSHEY_SIMPLEX, size, color, 1, cv2.LINE_AA
-        )
+        img = cv2.putText(img, title, where, cv2.FONT_HERSHEY_SIMPLEX, size, color, 1, cv2.LINE_AA)
     return img
-
-
-def shrink_to_half(img):
-    """The image at half its width and height."""
-    return cv2.resize(img, (img.shape[1] // 2, img.shape[0] // 2), interpolation=cv2.INTER_AREA)

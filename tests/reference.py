@@ -56,9 +56,7 @@ def window_features(converted, hogs, row, column, params):
     first_row, first_column = row // params.pix_per_cell, column // params.pix_per_cell
     blocks = size // params.pix_per_cell - params.cells_per_block + 1
     for channel_hog in hogs:
-        block = channel_hog[
-            first_row : first_row + blocks, first_column : first_column + blocks
-        ]
+        block = channel_hog[first_row : first_row + blocks, first_column : first_column + blocks]
         parts.append(block.ravel())
     return np.concatenate(parts).astype(np.float64)
 

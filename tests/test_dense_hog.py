@@ -33,9 +33,7 @@ def test_equals_scikit_image(seed, rows, columns, orientations, cell, block):
             hog_blocks(channel, orientations, cell, block)
         return
     expected = reference(channel, orientations, cell, block)
-    np.testing.assert_allclose(
-        hog_blocks(channel, orientations, cell, block), expected, atol=2e-6
-    )
+    np.testing.assert_allclose(hog_blocks(channel, orientations, cell, block), expected, atol=2e-6)
 
 
 @settings(max_examples=60, deadline=None)

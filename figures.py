@@ -1,0 +1,68 @@
+"""Pictures side by side, for the notebooks."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+
+def show(images, titles=None, columns=2, width=12, cmap="gray"):
+    """Figure with a grid of images.
+
+    Parameters
+    ----------
+    images : sequence of ndarray
+        RGB of uint8, or one channel of any range.
+    titles : sequence of str, optional
+    columns : int
+    width : float
+        Of the figure, in inches; its height follows.
+    cmap : str
+        Matplotlib's name of the colours for images of one channel.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+    """
+    images = list(images)
+    rows = -(-len(images) // columns)
+    height, breadth = images[0].shape[:2]
+    title_height = 0.3 if titles else 0.05
+    cell = width / columns
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(width, rows * (cell * height / breadth + title_height)),
+        squeeze=False, layout="constrained",
+    )  # fmt: skip
+    for axis in axes.flat:
+        axis.axis("off")
+    for i, (axis, image) in enumerate(zip(axes.flat, images, strict=False)):
+        axis.imshow(image, cmap=cmap)
+        if titles:
+            axis.set_title(titles[i], fontsize=10)
+    return figure
+
+
+def show_histograms(histograms, titles, channel_names):
+    """Figure with one row of bar charts for each image, a chart for each channel.
+
+    Parameters
+    ----------
+    histograms : sequence of ndarray, shape (channels * bins,)
+        As `pipeline_functions.color_hist` returns them.
+    titles, channel_names : sequence of str
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+    """
+    n_channels = len(channel_names)
+    figure, axes = plt.subplots(
+        len(histograms), n_channels, figsize=(12, 2.2 * len(histograms)),
+        sharex=True, squeeze=False, layout="constrained",
+    )  # fmt: skip
+    for row, histogram, title in zip(axes, histograms, titles, strict=True):
+        for axis, counts, name in zip(
+            row, np.split(histogram, n_channels), channel_names, strict=True
+        ):
+            edges = np.linspace(0, 256, len(counts) + 1)
+            axis.stairs(counts, edges, fill=True, color="steelblue")
+            axis.set_title(f"{title}, {name}", fontsize=10)
+    return figure
