@@ -94,6 +94,8 @@ def load_classifier(path):
     try:
         content = pickle.loads(path.read_bytes())
         version = content["format_version"]
+        if version == FORMAT_VERSION:
+            params = FeatureParams(**content["params"])
     except (pickle.UnpicklingError, EOFError, AttributeError, KeyError, TypeError) as error:
         raise ValueError(f"{path}: not a parameter file of train.py: {again}") from error
     if version != FORMAT_VERSION:
@@ -103,8 +105,8 @@ def load_classifier(path):
             f"{path}: made with scikit-learn {content['sklearn_version']}, "
             f"installed is {sklearn.__version__}: {again}"
         )
-    params = FeatureParams(**content["params"])
-    lengths = {content["n_features"], content["scaler"].n_features_in_, params.n_features}
+    fitted = (content["scaler"].n_features_in_, content["svm"].n_features_in_)
+    lengths = {content["n_features"], params.n_features, *fitted}
     if len(lengths) > 1:
         raise ValueError(f"{path}: feature lengths {sorted(lengths)} do not agree: {again}")
     return Classifier(content["svm"], content["scaler"], params, content["data_counts"])

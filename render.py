@@ -1108,7 +1108,7 @@ def _truth_boxes(world, drawn):
         inside, share = _cut(world, box)
         if share < 0.02:
             continue
-        visible = share * _free_share(coverage, [nearer for _, nearer, _ in drawn[i + 1 :]])
+        visible = float(share) * _free_share(coverage, [nearer for _, nearer, _ in drawn[i + 1 :]])
         required = bool(visible >= 0.5 and inside[3] - inside[1] >= 30)
         truth.append(TruthBox(actor.identity, tuple(inside.tolist()), required, visible))
     return truth

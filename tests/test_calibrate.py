@@ -1,0 +1,61 @@
+"""Calibration against the camera that the photos were rendered with."""
+
+import numpy as np
+import pytest
+
+from calibrate import calibrate, load_calibration, save_calibration
+from files import find_images, write_image
+from render import Camera
+from sample_data import chessboard_photo
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("boards")
+    for seed in range(8):
+        write_image(folder / f"{seed}.png", chessboard_photo(seed))
+    board_less = np.full((720, 1280, 3), 100, np.uint8)
+    write_image(folder / "none.png", board_less)
+    return find_images(folder)
+
+
+def test_finds_the_camera_again(photos, tmp_path):
+    calibration, error, skipped = calibrate(photos)
+    camera = Camera()
+    assert photos[-1] in skipped
+    assert error < 0.1
+    np.testing.assert_allclose(calibration.mtx, camera.mtx, rtol=0.003, atol=1e-9)
+    np.testing.assert_allclose(calibration.dist[0], camera.dist, atol=0.02)
+    save_calibration(calibration, tmp_path / "calib.p")
+    loaded = load_calibration(tmp_path / "calib.p")
+    np.testing.assert_array_equal(loaded.mtx, calibration.mtx)
+    assert loaded.image_size == (1280, 720)
+
+
+def test_undistorted_lines_are_straight(photos):
+    calibration, _, _ = calibrate(photos)
+    map_x = calibration.maps((720, 1280, 3))[0][..., 0].astype(float)
+    # A line at the left border of the pinhole picture is bowed in the raw one.
+    assert abs(map_x[360, 60] - map_x[0, 60]) > 5
+    half = calibration.maps((360, 640, 3))[0]
+    whole = calibration.maps((720, 1280, 3))[0]
+    np.testing.assert_allclose(half[180, 30] * 2, whole[360, 60], atol=3)
+
+
+def test_other_aspect_ratio_is_refused(photos):
+    calibration, _, _ = calibrate(photos)
+    with pytest.raises(ValueError, match="1280x720 photos and does not fit frames of 640x480"):
+        calibration.maps((480, 640, 3))
+
+
+def test_too_few_boards_are_said(photos):
+    with pytest.raises(ValueError, match="1 photos show all 9x6"):
+        calibrate([photos[0], photos[-1]])
+
+
+def test_wrong_calibration_file_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match="run calibrate.py"):
+        load_calibration(tmp_path / "calib.p")
+    (tmp_path / "calib.p").write_bytes(b"text")
+    with pytest.raises(ValueError, match="not a calibration"):
+        load_calibration(tmp_path / "calib.p")

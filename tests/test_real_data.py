@@ -1,0 +1,61 @@
+"""What is promised of the real data; skipped where it is missing."""
+
+import re
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import reference
+from calibrate import calibrate
+from classifier import load_classifier
+from conftest import ROOT
+from files import find_images
+from pipeline_functions import FEATURE_PRESETS, SEARCH_PRESETS, find_cars
+from train import parse_arguments, train
+from video import read_frames
+
+
+@pytest.fixture
+def frame(real_data):
+    """First frame of the real test video."""
+    return next(read_frames(real_data / "udacity/test_video.mp4"))
+
+
+def test_search_of_preset_g_visits_713_windows(frame):
+    classifier = load_classifier(ROOT / "param/svc_pickle.p")
+    windows, scores = find_cars(frame, classifier, SEARCH_PRESETS["G"])
+    assert len(windows) == 713
+    expected_windows, expected = reference.find_cars(frame, classifier, SEARCH_PRESETS["G"])
+    np.testing.assert_array_equal(windows, expected_windows)
+    np.testing.assert_allclose(scores, expected, atol=1e-4)
+    np.testing.assert_array_equal(scores > 0, expected > 0)
+    # The black and the white car of this frame.
+    hot = windows[scores > 0]
+    for x, y in ((875, 455), (1090, 450)):
+        inside = (hot[:, 0] < x) & (x < hot[:, 2]) & (hot[:, 1] < y) & (y < hot[:, 3])
+        assert inside.any()
+
+
+def test_calibration_agrees_with_the_published_one(real_data):
+    calibration, error, skipped = calibrate(find_images(real_data / "udacity/camera_cal"))
+    assert abs(calibration.mtx[0, 0] / 1154.0 - 1) < 0.01
+    assert abs(calibration.mtx[1, 1] / 1148.0 - 1) < 0.01
+    assert error < 1
+    assert "calibration1.jpg" in {path.name for path in skipped}
+
+
+def test_part_of_the_real_set_trains_well(real_data, tmp_path, capsys):
+    # Every sixth image keeps this test short; the accuracy of all is in the README.
+    folders = []
+    for name in ("vehicles", "non-vehicles"):
+        with zipfile.ZipFile(real_data / f"udacity/{name}.zip") as archive:
+            images = sorted(n for n in archive.namelist() if Path(n).suffix == ".png")
+            archive.extractall(tmp_path, images[::6])
+        folders.append(find_images(tmp_path / name))
+    arguments = parse_arguments([str(tmp_path), str(tmp_path)])
+    classifier = train(*folders, FEATURE_PRESETS["G"], arguments)
+    assert classifier.data_counts == {"vehicles": 1466, "non-vehicles": 1495}
+    (accuracy,) = re.findall(r"accuracy: (\d\.\d+) on 593 images", capsys.readouterr().out)
+    assert float(accuracy) > 0.96

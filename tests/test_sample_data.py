@@ -1,0 +1,112 @@
+"""Rendered scenes: the same every time, true boxes, and real enough."""
+
+import numpy as np
+import pytest
+
+from classifier import load_classifier
+from conftest import ROOT
+from pipeline_functions import SearchParams, find_cars
+from render import BODIES, Actor, make_world, render
+from sample_data import driving_world, random_scene, scene_cuts, truth_rows
+
+
+def test_same_seed_same_frame():
+    frame, truth = render(random_scene(7), 0.0)
+    again, truth_again = render(random_scene(7), 0.0)
+    np.testing.assert_array_equal(frame, again)
+    assert truth == truth_again
+    assert not np.array_equal(frame, render(random_scene(8), 0.0)[0])
+
+
+@pytest.mark.parametrize("kind", list(BODIES))
+@pytest.mark.parametrize("distance, lane", [(12, 0), (25, 1), (40, 2)])
+def test_truth_box_is_where_the_vehicle_is_drawn(kind, distance, lane):
+    actor = Actor(1, kind, (1.0, 0.0, 1.0), distance, 0.0, lane, style=3)
+    empty, _ = render(make_world(3), 0.0)
+    frame, (box,) = render(make_world(3, [actor]), 0.0)
+    # What no shadow can do: magenta paint makes pixels less green and more red.
+    changed = frame.astype(int) - empty
+    magenta = (changed[..., 0] - changed[..., 1]) > 30
+    rows, columns = np.nonzero(magenta)
+    left, top, right, bottom = box.box
+    assert left - 1.5 <= columns.min() and columns.max() <= right + 1.5
+    assert top - 1.5 <= rows.min() and rows.max() <= bottom + 1.5
+    # The paint reaches the sides and the roof; the wheels are below it.
+    assert columns.min() < left + 0.06 * (right - left) + 3 or left == 0
+    assert columns.max() > right - 0.06 * (right - left) - 4 or right == 1280
+    assert rows.min() < top + 0.12 * (bottom - top) + 3
+
+
+def test_nearer_vehicle_hides_the_one_behind():
+    lane = make_world(0).own_lane
+    far = Actor(1, "saloon", (0.9, 0.9, 0.9), 40, 0.0, lane)
+    near = Actor(2, "truck", (0.2, 0.2, 0.5), 15, 0.0, lane)
+    world = make_world(0, [far, near])
+    _, truth = render(world, 0.0)
+    boxes = {box.identity: box for box in truth}
+    assert boxes[2].required and boxes[2].visible > 0.9
+    assert not boxes[1].required and boxes[1].visible < 0.2
+
+
+def test_vehicle_grows_smaller_as_it_drives_away():
+    world = make_world(2, [Actor(1, "suv", (0.5, 0.1, 0.1), 15, 10.0, 1)])
+    heights = []
+    for time in (0.0, 1.0, 3.0):
+        (box,) = render(world, time)[1]
+        heights.append(box.box[3] - box.box[1])
+    assert heights[0] > 1.3 * heights[1] > 1.6 * heights[2]
+
+
+def test_truth_rows_are_motchallenge():
+    _, truth = render(random_scene(11), 0.0)
+    rows = np.array([row.split(",") for row in truth_rows(5, truth)], float)
+    assert rows.shape == (len(truth), 9)
+    assert (rows[:, 0] == 5).all() and len(set(rows[:, 1])) == len(rows)
+    assert ((rows[:, 6] == 0) | (rows[:, 5] >= 29.9)).all()
+    assert (rows[:, 2] >= 0).all() and (rows[:, 2] + rows[:, 4] <= 1280.1).all()
+
+
+def test_driving_world_has_overtaking_and_oncoming_traffic():
+    world = driving_world(0)
+    assert 0 < world.own_lane < world.n_lanes - 1
+    own = [actor for actor in world.actors if not actor.oncoming]
+    assert any(a.distance < 0 and a.speed > 0 for a in own)
+    assert any(a.lane_change for a in own)
+    assert any(a.oncoming for a in world.actors)
+
+
+def test_training_images_have_both_classes():
+    vehicles, others = scene_cuts(21)
+    assert len(vehicles) >= 2 and len(others) >= 6
+    assert {img.shape for img in vehicles + others} == {(64, 64, 3)}
+
+
+def test_classifier_of_photographs_knows_rendered_vehicles():
+    # The shipped classifier has seen photographs only. Windows of many sizes
+    # all over the picture: the scenes are tested here, not the search.
+    classifier = load_classifier(ROOT / "param/svc_pickle.p")
+    search = SearchParams(
+        bands=(
+            (0.75, 370, 520), (1, 360, 560), (1.5, 340, 600), (2, 320, 650),
+            (3, 270, 720), (4, 250, 720),
+        ),
+        cells_per_step=1,
+    )  # fmt: skip
+    found = []
+    for seed in range(300, 308):
+        frame, truth = render(random_scene(seed), 0.0)
+        windows, scores = find_cars(frame, classifier, search)
+        hot = windows[scores > 0]
+        for box in truth:
+            if box.required and box.box[3] - box.box[1] > 40:
+                found.append(overlaps(np.array(box.box), hot).max(initial=0) >= 0.35)
+    assert len(found) > 20
+    assert np.mean(found) >= 0.8
+
+
+def overlaps(box, others):
+    """IoU of a box with each of others."""
+    low, high = np.maximum(box[:2], others[:, :2]), np.minimum(box[2:], others[:, 2:])
+    common = np.clip(high - low, 0, None).prod(axis=1)
+    area = (box[2:] - box[:2]).prod() + (others[:, 2:] - others[:, :2]).prod(axis=1)
+    return common / (area - common)

@@ -1,0 +1,148 @@
+"""Training on a small made-up set, and the parameter file."""
+
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from sklearn.preprocessing import StandardScaler
+from sklearn.svm import LinearSVC
+
+import train
+from classifier import load_classifier, save_classifier
+from conftest import ROOT, random_classifier, textured_image
+from files import write_image
+from pipeline_functions import FEATURE_PRESETS, FeatureParams, extract_features
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Two folders of images: bars on a dark ground, and noise."""
+    folder = tmp_path_factory.mktemp("data")
+    rng = np.random.default_rng(0)
+    for i in range(60):
+        bars = rng.integers(0, 60, size=(64, 64, 3)).astype(np.uint8)
+        bars[20:28, 10:54] = bars[44:52, 10:54] = rng.integers(120, 255, 3)
+        write_image(folder / "vehicles" / "a" / f"{i}.png", bars)
+        write_image(folder / "non-vehicles" / f"{i}.png", textured_image(i, 64, 64))
+    return folder
+
+
+def run(*arguments):
+    return subprocess.run(
+        [sys.executable, "train.py", *map(str, arguments)], cwd=ROOT, capture_output=True, text=True
+    )
+
+
+def test_train_writes_what_it_reports(data, tmp_path):
+    out = tmp_path / "param" / "svc.p"
+    result = run(data / "vehicles", data / "non-vehicles", "--out", out)
+    assert result.returncode == 0, result.stderr
+    assert "accuracy: 1.0000 on 24 images" in result.stdout
+    classifier = load_classifier(out)
+    assert classifier.params == FEATURE_PRESETS["G"]
+    assert classifier.data_counts == {"vehicles": 60, "non-vehicles": 60}
+    assert classifier.scaler.n_samples_seen_ == 96
+    again = tmp_path / "again.p"
+    assert run(data / "vehicles", data / "non-vehicles", "--out", again).returncode == 0
+    np.testing.assert_array_equal(load_classifier(again).svm.coef_, classifier.svm.coef_)
+
+
+def test_scaler_never_sees_the_test_part(data):
+    arguments = train.parse_arguments([str(data / "vehicles"), str(data / "non-vehicles")])
+    params = FeatureParams(hist_color="RGB", hist_bins=4)
+    vehicles = sorted((data / "vehicles").rglob("*.png"))
+    others = sorted((data / "non-vehicles").rglob("*.png"))
+    arguments.jobs = 1
+    classifier = train.train(vehicles, others, params, arguments)
+    everything, _ = train.features_of_files(vehicles + others, params)
+    assert classifier.scaler.n_samples_seen_ == 0.8 * len(everything)
+    assert not np.allclose(classifier.scaler.mean_, everything.mean(axis=0))
+
+
+def test_grid_search_picks_a_kernel(capsys):
+    rng = np.random.default_rng(1)
+    angle = rng.uniform(0, 2 * np.pi, 120)
+    radius = np.where(np.arange(120) % 2, 1.0, 3.0)
+    rings = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    scaler, svm = train.fit_searched(rings, np.arange(120) % 2, jobs=1)
+    assert svm.kernel == "rbf"
+    assert (svm.predict(scaler.transform(rings)) == np.arange(120) % 2).all()
+    assert isinstance(scaler, StandardScaler)
+    assert "best:" in capsys.readouterr().out
+
+
+def test_other_sizes_are_resized_and_said(data, tmp_path, capsys):
+    write_image(tmp_path / "large.png", textured_image(0, 128, 128))
+    features = train.extract_all([tmp_path / "large.png"], FEATURE_PRESETS["G"], jobs=1)
+    assert features.shape == (1, 2304)
+    assert "resized to 64x64: 1 images" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("missing", ["vehicles", "non-vehicles"])
+def test_a_class_without_images_is_named(data, tmp_path, missing):
+    (tmp_path / missing).mkdir()
+    folders = {name: data / name for name in ("vehicles", "non-vehicles")}
+    folders[missing] = tmp_path / missing
+    result = run(*folders.values(), "--out", tmp_path / "svc.p")
+    assert result.returncode == 1
+    assert result.stderr.splitlines()[-1].startswith(f"error: {tmp_path / missing}: no png")
+    assert not (tmp_path / "svc.p").exists()
+
+
+def test_folded_weights_score_like_scaler_and_svm():
+    classifier = random_classifier(FEATURE_PRESETS["G"])
+    img = textured_image(5, 64, 64)
+    features = extract_features(img, classifier.params)[None]
+    expected = classifier.svm.decision_function(classifier.scaler.transform(features))
+    np.testing.assert_allclose(classifier.decision_function(features), expected, atol=1e-5)
+
+
+# ----------------------------------------------------------- parameter files
+
+
+def stored(path, **changes):
+    """A parameter file with some of its entries changed."""
+    save_classifier(random_classifier(FeatureParams(hist_color="RGB")), path)
+    content = pickle.loads(path.read_bytes()) | changes
+    path.write_bytes(pickle.dumps(content))
+    return path
+
+
+def test_saved_classifier_comes_back(tmp_path):
+    classifier = random_classifier(FeatureParams(hist_color="RGB", hist_bins=7), kernel="rbf")
+    save_classifier(classifier, tmp_path / "svc.p")
+    loaded = load_classifier(tmp_path / "svc.p")
+    assert loaded.params == classifier.params
+    features = np.random.default_rng(0).random((3, 21), np.float32)
+    np.testing.assert_array_equal(
+        loaded.decision_function(features), classifier.decision_function(features)
+    )
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"format_version": 99}, "format 99"),
+        ({"sklearn_version": "0.1"}, "made with scikit-learn 0.1"),
+        ({"n_features": 5}, "feature lengths"),
+        ({"scaler": StandardScaler().fit(np.zeros((2, 3)))}, "feature lengths"),
+        ({"svm": LinearSVC().fit(np.eye(2), [0, 1])}, "feature lengths"),
+        ({"params": {"window_length": 64}}, "not a parameter file"),
+    ],
+)
+def test_wrong_parameter_file_is_refused(tmp_path, changes, message):
+    path = stored(tmp_path / "svc.p", **changes)
+    with pytest.raises(ValueError, match=rf"svc\.p: .*{message}.*: run train\.py"):
+        load_classifier(path)
+
+
+def test_unreadable_parameter_file_is_refused(tmp_path):
+    path = tmp_path / "svc.p"
+    with pytest.raises(FileNotFoundError, match="no such parameter file"):
+        load_classifier(path)
+    for content in (b"", b"text", pickle.dumps([1, 2])):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match="not a parameter file"):
+            load_classifier(path)

@@ -1,0 +1,229 @@
+"""Vehicle, video files and the command line of detect.py."""
+
+import subprocess
+import sys
+import threading
+
+import cv2
+import numpy as np
+import pytest
+
+import reference
+from calibrate import Calibration, save_calibration
+from classifier import save_classifier
+from conftest import ROOT, random_classifier, textured_image
+from files import write_image
+from pipeline_functions import FEATURE_PRESETS, SEARCH_PRESETS, FeatureParams
+from vehicle import FILTER_PRESETS, FilterParams, Vehicle
+from video import VideoInfo, read_frames, video_info, video_writer
+
+
+def moving_frames(count, rows=180, columns=320):
+    """Noise with a bright patch that wanders to the right."""
+    ground = textured_image(0, rows, columns) // 2
+    for i in range(count):
+        frame = ground.copy()
+        frame[110:150, 40 + 6 * i : 100 + 6 * i] = (250, 240, 60)
+        yield frame
+
+
+@pytest.fixture
+def param(tmp_path):
+    """Parameter file of a classifier with random weights; about half of all windows are hot."""
+    path = tmp_path / "svc.p"
+    save_classifier(random_classifier(FeatureParams(spatial_color="HLS", hist_color="RGB")), path)
+    return path
+
+
+def write_video(path, frames, fps=25):
+    frames = list(frames)
+    rows, columns = frames[0].shape[:2]
+    with video_writer(path, VideoInfo(columns, rows, fps, len(frames))) as write:
+        for frame in frames:
+            write(frame)
+    return path
+
+
+# ------------------------------------------------------------------- vehicle
+
+
+@pytest.mark.parametrize("preset", ["G", "B"])
+def test_vehicle_equals_the_full_size_reference(param, preset):
+    vehicle = Vehicle(None, param, heat_filter=FILTER_PRESETS[preset])
+    slow = reference.Detector(vehicle.classifier, SEARCH_PRESETS["G"], FILTER_PRESETS[preset])
+    n_boxes = 0
+    for frame in moving_frames(18):
+        detections = vehicle.detect(frame)
+        np.testing.assert_array_equal(detections.boxes, slow.detect(frame))
+        n_boxes += len(detections.boxes)
+    assert n_boxes > 0
+
+
+def test_process_image_draws_the_boxes(param):
+    vehicle = Vehicle(None, param, heat_filter=FilterParams(1, 1, 0))
+    frame = next(moving_frames(1))
+    drawn = vehicle.process_image(frame)
+    vehicle.reset()
+    detections = vehicle.detect(frame)
+    left, top, right, bottom = detections.boxes[0]
+    assert (drawn[top, left : right - 1] == (0, 0, 255)).all()
+    assert drawn.shape == frame.shape and len(vehicle.step_pictures(frame, detections)) == 4
+    assert vehicle.draw_split_screen(frame, detections).shape == frame.shape
+
+
+def test_calibration_straightens_only_the_picture(param, tmp_path):
+    mtx = np.array([[300.0, 0, 160], [0, 300, 90], [0, 0, 1]])
+    save_calibration(
+        Calibration(mtx, np.array([[-0.3, 0.1, 0, 0, 0]]), (320, 180)), tmp_path / "calib.p"
+    )
+    straight = Vehicle(tmp_path / "calib.p", param)
+    plain = Vehicle(None, param)
+    frame = next(moving_frames(1))
+    detections = straight.detect(frame)
+    np.testing.assert_array_equal(detections.boxes, plain.detect(frame).boxes)
+    expected = cv2.undistort(plain.draw(frame, detections), mtx, straight.calibration.dist)
+    difference = np.abs(straight.draw(frame, detections).astype(int) - expected)
+    assert np.mean(difference) < 1 and not np.array_equal(expected, frame)
+
+
+def test_reset_forgets(param):
+    vehicle = Vehicle(None, param)
+    frames = list(moving_frames(20))
+    first = [vehicle.detect(frame).filtered for frame in frames]
+    vehicle.reset()
+    again = [vehicle.detect(frame).filtered for frame in frames]
+    np.testing.assert_array_equal(first, again)
+
+
+def test_frames_of_two_sizes_are_refused(param):
+    vehicle = Vehicle(None, param)
+    vehicle.detect(textured_image(0, 180, 320))
+    with pytest.raises(ValueError, match="after one of"):
+        vehicle.detect(textured_image(0, 360, 640))
+
+
+def test_filter_params_refuse():
+    with pytest.raises(ValueError, match="n_occ_thr"):
+        FilterParams(n_acc=3, n_occ_thr=4, threshold=1)
+
+
+# --------------------------------------------------------------------- video
+
+
+def test_video_comes_back_in_rgb(tmp_path):
+    frames = list(moving_frames(12))
+    path = write_video(tmp_path / "clip.mp4", frames)
+    info = video_info(path)
+    assert (info.width, info.height, info.fps, info.n_frames) == (320, 180, 25, 12)
+    back = list(read_frames(path))
+    assert len(back) == 12
+    patch = back[3][120:140, 70:100].reshape(-1, 3).mean(axis=0)
+    np.testing.assert_allclose(patch, (250, 240, 60), atol=12)
+
+
+def test_reader_can_be_left_early(tmp_path):
+    path = write_video(tmp_path / "clip.mp4", moving_frames(60))
+    before = threading.active_count()
+    frames = read_frames(path)
+    next(frames)
+    frames.close()
+    assert threading.active_count() == before
+
+
+def test_bad_videos_are_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"gone\.mp4: no such video"):
+        video_info(tmp_path / "gone.mp4")
+    (tmp_path / "text.mp4").write_text("no video")
+    with pytest.raises(ValueError, match=r"text\.mp4: not a readable video"):
+        video_info(tmp_path / "text.mp4")
+
+
+def test_truncated_video_is_named(tmp_path):
+    path = write_video(tmp_path / "clip.avi", moving_frames(100))
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 3])
+    with pytest.raises(ValueError, match=r"clip\.avi: (ends after|not a readable video)"):
+        list(read_frames(path))
+
+
+def test_failed_video_leaves_nothing(tmp_path):
+    info = VideoInfo(320, 180, 25, 2)
+    with pytest.raises(RuntimeError), video_writer(tmp_path / "a.mp4", info) as write:
+        write(next(moving_frames(1)))
+        raise RuntimeError
+    with (
+        pytest.raises(ValueError, match="does not fit the video"),
+        video_writer(tmp_path / "b.mp4", info) as write,
+    ):
+        write(textured_image(0, 90, 160))
+    with pytest.raises(OSError), video_writer(tmp_path / "c.mp4", info, "no preset") as write:
+        for frame in moving_frames(40):
+            write(frame)
+    assert list(tmp_path.iterdir()) == []
+
+
+# ---------------------------------------------------------------- detect.py
+
+
+def run(*arguments):
+    return subprocess.run(
+        [sys.executable, "detect.py", *map(str, arguments)],
+        cwd=ROOT, capture_output=True, text=True,
+    )  # fmt: skip
+
+
+def test_detect_writes_pictures_and_boxes(param, tmp_path):
+    clip = write_video(tmp_path / "clip.mp4", moving_frames(20))
+    images = tmp_path / "images"
+    write_image(images / "still.png", next(moving_frames(1)))
+    out = tmp_path / "out"
+    result = run(clip, images, "--out", out, "--param", param, "--split-screen")
+    assert result.returncode == 0, result.stderr
+    assert {path.name for path in out.iterdir()} == {
+        "clip.mp4", "clip.txt", "clip_split.mp4", "still.png", "still.txt",
+    }  # fmt: skip
+    assert len(list(read_frames(out / "clip.mp4"))) == 20
+    assert len(list(read_frames(out / "clip_split.mp4"))) == 20
+    rows = np.loadtxt(out / "clip.txt", delimiter=",", ndmin=2)
+    vehicle = Vehicle(None, param)
+    expected = [
+        (number, -1, left, top, right - left, bottom - top)
+        for number, frame in enumerate(read_frames(clip), start=1)
+        for left, top, right, bottom in vehicle.detect(frame).boxes
+    ]
+    assert len(rows) > 0
+    np.testing.assert_array_equal(rows[:, :6], expected)
+    assert (rows[:, 7:] == -1).all()
+
+
+@pytest.mark.parametrize(
+    "name, message",
+    [
+        ("gone.mp4", "no such video"),
+        ("notes.txt", "neither an image nor a video"),
+        ("text.mp4", "not a readable video"),
+        ("text.png", "not a readable image"),
+    ],
+)
+def test_detect_names_bad_input(param, tmp_path, name, message):
+    if name != "gone.mp4":
+        (tmp_path / name).write_text("no picture")
+    out = tmp_path / "out"
+    result = run(tmp_path / name, "--out", out, "--param", param)
+    assert result.returncode == 1
+    last = result.stderr.splitlines()[-1]
+    assert last.startswith(f"error: {tmp_path / name}: ") and message in last
+    assert not out.exists() or list(out.iterdir()) == []
+
+
+def test_two_inputs_of_one_name_are_refused(param, tmp_path):
+    for folder in ("a", "b"):
+        write_image(tmp_path / folder / "same.png", next(moving_frames(1)))
+    result = run(tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out", "--param", param)
+    assert result.returncode == 1 and "another input would write same.txt" in result.stderr
+
+
+def test_shipped_classifier_is_preset_g():
+    vehicle = Vehicle(ROOT / "param/calib.p", ROOT / "param/svc_pickle.p")
+    assert vehicle.classifier.params == FEATURE_PRESETS["G"]
+    assert vehicle.classifier.data_counts == {"vehicles": 8792, "non-vehicles": 8968}
