@@ -6,6 +6,7 @@ python detect.py INPUT... --out DIR
 import argparse
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 from tqdm import tqdm
@@ -18,6 +19,7 @@ from files import (
     write_image,
     write_whole,
 )
+from pipeline_functions import SEARCH_PRESETS
 from vehicle import FILTER_PRESETS, Vehicle
 from video import read_frames, video_info, video_writer
 
@@ -162,10 +164,33 @@ def parse_arguments(arguments=None):
         "--filter", choices=("G", "B"), default="G", help="temporal filter of write-up G or B"
     )
     parser.add_argument(
+        "--horizon",
+        type=float,
+        metavar="SHARE",
+        help="where the road vanishes, as a share of the picture's height (0.57, say): visit "
+        "only windows that could frame a vehicle on the road",
+    )
+    parser.add_argument(
+        "--scan-every",
+        type=int,
+        default=1,
+        metavar="N",
+        help="visit all windows in every Nth frame, in others only those near known vehicles",
+    )
+    parser.add_argument(
         "--split-screen", action="store_true", help="also a video of every step of the detector"
     )
     parser.add_argument("--preset", default="ultrafast", help="of the video encoder, libx264")
     return parser.parse_args(arguments)
+
+
+def chosen_search(arguments):
+    """Search of preset G, with what the command line changes of it."""
+    search = SEARCH_PRESETS["G"]
+    horizon = arguments.horizon
+    if horizon is not None:
+        horizon *= search.reference_size[1]
+    return replace(search, horizon=horizon, scan_every=arguments.scan_every)
 
 
 def main():
@@ -175,11 +200,12 @@ def main():
         images, videos = gather_inputs(arguments.inputs)
         paths = arguments.calib, arguments.param
         if images:
-            still = Vehicle(*paths, heat_filter=FILTER_PRESETS["still"])
+            still = Vehicle(*paths, chosen_search(arguments), FILTER_PRESETS["still"])
             for path in tqdm(images, "images", unit="image"):
                 annotate_image(path, arguments.out, still)
         for path in videos:
-            vehicle = Vehicle(*paths, heat_filter=FILTER_PRESETS[arguments.filter])
+            heat_filter = FILTER_PRESETS[arguments.filter]
+            vehicle = Vehicle(*paths, chosen_search(arguments), heat_filter)
             annotate_video(path, arguments.out, vehicle, arguments.split_screen, arguments.preset)
     except (OSError, ValueError) as error:
         sys.exit(f"error: {error}")

@@ -8,6 +8,7 @@ boxes travel as int arrays of shape (n, 4).
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import gcd
 
 import cv2
@@ -111,7 +112,8 @@ class FeatureParams:
             cells = self.window_size // self.pix_per_cell
             blocks = cells - self.cells_per_block + 1
             per_channel = (blocks * self.cells_per_block) ** 2 * self.orientations
-            n += per_channel * len(_hog_channels(self))
+            channels = range(_channel_count(self.hog_color))[_hog_channels(self)]
+            n += per_channel * len(channels)
         return n
 
 
@@ -143,12 +145,21 @@ class SearchParams:
         Distance between neighbouring windows, in HOG cells.
     threshold : float
         Windows of a decision function above it are hot.
+    horizon : float or None
+        Row in which the road vanishes. With it, only windows are visited in
+        which a vehicle that stands on the road could be: small ones near the
+        horizon, large ones below, see `may_hold_vehicle`. None visits all.
+    scan_every : int
+        Every so many frames of a video all windows are visited, and between
+        them only those around the vehicles of the frame before.
     reference_size : (width, height)
     """
 
     bands: tuple
     cells_per_step: int = 2
     threshold: float = 0.0
+    horizon: float | None = None
+    scan_every: int = 1
     reference_size: tuple = (1280, 720)
 
     def __post_init__(self):
@@ -157,8 +168,8 @@ class SearchParams:
         for scale, top, bottom in self.bands:
             if scale <= 0 or not 0 <= top < bottom <= self.reference_size[1]:
                 raise ValueError(f"not a band (scale, top, bottom): {(scale, top, bottom)}")
-        if self.cells_per_step < 1:
-            raise ValueError("cells_per_step starts at 1")
+        if min(self.cells_per_step, self.scan_every) < 1:
+            raise ValueError("cells_per_step and scan_every start at 1")
 
 
 SEARCH_PRESETS = {
@@ -259,7 +270,7 @@ def get_hog_features(img, orient, pix_per_cell, cell_per_block, vis=False, featu
     picture : ndarray of float64, shape (rows, columns)
         With `vis` only; drawn by `skimage.feature.hog`.
     """
-    features = hog_blocks(img, orient, pix_per_cell, cell_per_block)
+    features = hog_blocks(img[..., None], orient, pix_per_cell, cell_per_block)[0]
     if feature_vec:
         features = features.ravel()
     if not vis:
@@ -343,9 +354,8 @@ def _feature_groups(converted, params, cells_per_step):
         for channel in cv2.split(converted[params.hist_color]):
             yield _histogram_windows(channel, params, cells_per_step)
     if params.hog_color:
-        channels = cv2.split(converted[params.hog_color])
-        for c in _hog_channels(params):
-            yield _hog_windows(channels[c], params, cells_per_step)
+        channels = np.atleast_3d(converted[params.hog_color])[..., _hog_channels(params)]
+        yield _hog_windows(channels, params, cells_per_step)
 
 
 def _spatial_windows(img, params, cells_per_step):
@@ -359,16 +369,13 @@ def _spatial_windows(img, params, cells_per_step):
     step = cells_per_step * params.pix_per_cell
     pitch = gcd(factor, step)
     middle = (factor - 1) // 2
-    shrunk = img[middle::pitch, middle::pitch]
-    if factor % 2 == 0:
-        right = img[middle::pitch, middle + 1 :: pitch]
-        below = img[middle + 1 :: pitch, middle::pitch]
-        beyond = img[middle + 1 :: pitch, middle + 1 :: pitch]
-        rows, columns = beyond.shape[:2]
-        total = np.full(beyond.shape, 2, np.uint16)
-        for part in (shrunk, right, below, beyond):
-            total += part[:rows, :columns]
-        shrunk = total >> 2
+    if factor % 2:
+        shrunk = img[middle::pitch, middle::pitch]
+    else:
+        rows, columns = (side - 1 for side in img.shape[:2])
+        pairs = np.add(img[middle:rows:pitch], img[middle + 1 :: pitch], dtype=np.uint16)
+        fours = pairs[:, middle:columns:pitch] + pairs[:, middle + 1 :: pitch]
+        shrunk = (fours + 2) >> 2
     size, stride = params.spatial_size, factor // pitch
     extent = (size - 1) * stride + 1
     windows = sliding_window_view(shrunk, (extent, extent), axis=(0, 1))
@@ -395,18 +402,19 @@ def _histogram_windows(channel, params, cells_per_step):
 
 
 def _hog_channels(params):
+    """The channels that HOG looks at, as a slice."""
     if params.hog_channel == "ALL":
-        return range(_channel_count(params.hog_color))
-    return (params.hog_channel,)
+        return slice(_channel_count(params.hog_color))
+    return slice(params.hog_channel, params.hog_channel + 1)
 
 
-def _hog_windows(channel, params, cells_per_step):
-    """HOG blocks of one channel of every window."""
-    blocks = hog_blocks(channel, params.orientations, params.pix_per_cell, params.cells_per_block)
+def _hog_windows(img, params, cells_per_step):
+    """HOG blocks of every window, channel by channel."""
+    blocks = hog_blocks(img, params.orientations, params.pix_per_cell, params.cells_per_block)
     extent = params.window_size // params.pix_per_cell - params.cells_per_block + 1
-    windows = sliding_window_view(blocks, (extent, extent), axis=(0, 1))
-    windows = windows[::cells_per_step, ::cells_per_step]
-    return windows.transpose(0, 1, 5, 6, 2, 3, 4)
+    windows = sliding_window_view(blocks, (extent, extent), axis=(1, 2))
+    windows = windows[:, ::cells_per_step, ::cells_per_step]
+    return windows.transpose(1, 2, 0, 6, 7, 3, 4, 5)
 
 
 # ------------------------------------------------------------------- windows
@@ -448,6 +456,26 @@ def _bands_on_frame(frame_shape, params, search):
             yield _Band(scale, top, rows, columns, resized_rows, resized_columns)
 
 
+@lru_cache(maxsize=16)
+def _window_grids(frame_shape, params, search):
+    """Every band that holds a window, with its windows, shape (rows, columns, 4)."""
+    step = search.cells_per_step * params.pix_per_cell
+    grids = []
+    for band in _bands_on_frame(frame_shape, params, search):
+        shape = (band.resized_rows, band.resized_columns)
+        rows, columns = _window_counts(shape, params.window_size, step)
+        top, left = np.mgrid[:rows, :columns] * step
+        corners = np.stack([left, top, left + params.window_size, top + params.window_size], axis=2)
+        windows = np.rint(corners * band.scale).astype(int) + (0, band.top, 0, band.top)
+        grids.append((band, windows))
+    if not grids:
+        raise ValueError(
+            f"no window fits a frame of {frame_shape[1]}x{frame_shape[0]}: "
+            "use a larger picture or other bands"
+        )
+    return grids
+
+
 def slide_window(frame_shape, params, search):
     """All windows of a search, band by band, row by row.
 
@@ -467,27 +495,65 @@ def slide_window(frame_shape, params, search):
     ValueError
         No band of the search holds a window on a frame of this size.
     """
-    step = search.cells_per_step * params.pix_per_cell
-    windows = []
-    for band in _bands_on_frame(frame_shape, params, search):
-        shape = (band.resized_rows, band.resized_columns)
-        rows, columns = _window_counts(shape, params.window_size, step)
-        top, left = np.mgrid[:rows, :columns].reshape(2, -1) * step
-        corners = np.stack([left, top, left + params.window_size, top + params.window_size], axis=1)
-        windows.append(np.rint(corners * band.scale).astype(int) + (0, band.top, 0, band.top))
-    if not windows:
-        raise ValueError(
-            f"no window fits a frame of {frame_shape[1]}x{frame_shape[0]}: "
-            "use a larger picture or other bands"
-        )
-    return np.concatenate(windows)
+    grids = _window_grids(tuple(frame_shape[:2]), params, search)
+    return np.concatenate([windows.reshape(-1, 4) for _, windows in grids])
+
+
+def may_hold_vehicle(windows, frame_shape, search):
+    """Which windows could frame a vehicle that stands on the road.
+
+    On a flat road the width of a vehicle in pixels is W / h times the
+    distance of its wheels from the horizon, W being its width and h the
+    height of the camera, both in metres: 1 to 2.3 for what drives, and more
+    on either side for windows that do not fit exactly. To the side, windows
+    may lie as far off as seven times their own size plus a sixth of the frame
+    for bends: about three lanes and a half.
+
+    Parameters
+    ----------
+    windows : ndarray of int, shape (..., 4)
+    frame_shape : (rows, columns, ...)
+    search : SearchParams
+        Its `horizon` is not None.
+
+    Returns
+    -------
+    possible : ndarray of bool, shape (...)
+    """
+    height, width = frame_shape[:2]
+    left, top, right, bottom = np.moveaxis(windows, -1, 0)
+    size = right - left
+    below = bottom - search.horizon * height / search.reference_size[1]
+    aside = np.abs(left + right - width) / 2
+    return (0.6 * below < size) & (size < 3.5 * below) & (aside < 7 * size + width / 6)
+
+
+def are_near(windows, boxes):
+    """Which windows have their middle in one of the boxes, made twice as large.
+
+    Parameters
+    ----------
+    windows : ndarray of int, shape (..., 4)
+    boxes : ndarray of int, shape (n, 4)
+
+    Returns
+    -------
+    near : ndarray of bool, shape (...)
+    """
+    near = np.zeros(windows.shape[:-1], bool)
+    x, y = (windows[..., :2] + windows[..., 2:]).T / 2
+    for left, top, right, bottom in boxes:
+        half_width, half_height = right - left, bottom - top
+        inside_x = np.abs(x - (left + right) / 2) <= half_width
+        near |= (inside_x & (np.abs(y - (top + bottom) / 2) <= half_height)).T
+    return near
 
 
 # -------------------------------------------------------------------- search
 
 
-def find_cars(frame, classifier, search):
-    """Score every window of a frame.
+def find_cars(frame, classifier, search, boxes=None):
+    """Score the windows of a frame.
 
     Parameters
     ----------
@@ -497,21 +563,45 @@ def find_cars(frame, classifier, search):
         With `params`, its FeatureParams, and `decision_function`, which takes
         features of shape (n, params.n_features) and returns n scores.
     search : SearchParams
+    boxes : ndarray of int, shape (n, 4), optional
+        Visit only windows near these boxes.
 
     Returns
     -------
     windows : ndarray of int, shape (n, 4)
-        As `slide_window` returns them.
+        Those of `slide_window` that were visited, in its order.
     scores : ndarray of float, shape (n,)
         Decision function; above `search.threshold` a window is hot.
     """
-    params = classifier.params
-    windows = slide_window(frame.shape, params, search)
-    scores = []
-    for band in _bands_on_frame(frame.shape, params, search):
-        features = dense_features(_resize_band(frame, band), params, search.cells_per_step)
-        scores.append(classifier.decision_function(features.reshape(-1, params.n_features)))
-    return windows, np.concatenate(scores)
+    grids = _window_grids(frame.shape[:2], classifier.params, search)
+    results = [
+        _score_band(frame, band, windows, classifier, search, boxes) for band, windows in grids
+    ]
+    windows, scores = zip(*results, strict=True)
+    return np.concatenate(windows), np.concatenate(scores)
+
+
+def _score_band(frame, band, windows, classifier, search, boxes):
+    """Windows of one band that are to be visited, and their scores."""
+    visited = np.ones(windows.shape[:2], bool)
+    if search.horizon is not None:
+        visited &= may_hold_vehicle(windows, frame.shape, search)
+    if boxes is not None:
+        visited &= are_near(windows, boxes)
+    scores = np.zeros(windows.shape[:2])
+    if visited.any():
+        resized = _resize_band(frame, band)
+        for region in _rectangles(visited):
+            scores[region] = _score_region(resized, region, classifier, search)
+    return windows[visited], scores[visited]
+
+
+def _rectangles(visited):
+    """Slices of rows and columns that together hold all True cells."""
+    if visited.all():
+        return [tuple(slice(0, side) for side in visited.shape)]
+    regions, _ = label(visited, structure=np.ones((3, 3)))
+    return find_objects(regions)
 
 
 def _resize_band(frame, band):
@@ -519,6 +609,25 @@ def _resize_band(frame, band):
     return cv2.resize(
         strip, (band.resized_columns, band.resized_rows), interpolation=cv2.INTER_LINEAR
     )
+
+
+def _score_region(resized, region, classifier, search):
+    """Scores of a rectangle of a band's windows, shape (window rows, window columns).
+
+    Gradients at the edge of a cut-out differ from those of the whole band, so
+    one window more is cut out on each side where there is one.
+    """
+    params = classifier.params
+    step = search.cells_per_step * params.pix_per_cell
+    cut, inner = [], []
+    for windows, length in zip(region, resized.shape, strict=False):
+        before = min(1, windows.start)
+        first = (windows.start - before) * step
+        cut.append(slice(first, min(length, windows.stop * step + params.window_size)))
+        inner.append(slice(before, before + windows.stop - windows.start))
+    features = dense_features(resized[tuple(cut)], params, search.cells_per_step)[tuple(inner)]
+    scores = classifier.decision_function(features.reshape(-1, params.n_features))
+    return scores.reshape(features.shape[:2])
 
 
 # ---------------------------------------------------------------------- heat
@@ -616,8 +725,9 @@ def keep_lasting_heat(heatmaps, n_occ_thr):
     heatmap : ndarray, shape (rows, columns)
     """
     labels, n_labels = label(heatmaps)
+    places = np.nonzero(labels)
     occurs = np.zeros((len(heatmaps), n_labels + 1), bool)
-    occurs[np.arange(len(heatmaps))[:, None, None], labels] = True
+    occurs[places[0], labels[places]] = True
     lasting = occurs.sum(axis=0) >= n_occ_thr
     return np.where(lasting[labels], heatmaps, 0).sum(axis=0)
 

@@ -126,6 +126,8 @@ class Vehicle:
         """Forget all frames: the next one begins another video."""
         self._grid = None
         self._frame_shape = None
+        self._n_frames = 0
+        self._boxes = None
         self._heatmaps = deque(maxlen=self.heat_filter.n_acc)
 
     def process_image(self, rgb_frame):
@@ -164,15 +166,32 @@ class Vehicle:
             self._frame_shape = rgb_frame.shape
         elif rgb_frame.shape != self._frame_shape:
             raise ValueError(f"a frame of {rgb_frame.shape} after one of {self._frame_shape}")
-        windows, scores = find_cars(rgb_frame, self.classifier, self.search)
-        hot_windows = windows[scores > self.search.threshold]
+        everywhere = self._n_frames % self.search.scan_every == 0
+        windows, scores = find_cars(
+            rgb_frame, self.classifier, self.search, None if everywhere else self._boxes
+        )
+        self._n_frames += 1
+        return self.remember(windows[scores > self.search.threshold])
+
+    def remember(self, hot_windows):
+        """Add the hot windows of the next frame to the memory, and see what lasts.
+
+        Parameters
+        ----------
+        hot_windows : ndarray of int, shape (n, 4)
+            In pixels of the frame.
+
+        Returns
+        -------
+        detections : Detections
+        """
         heatmap = add_heat(self._grid.zeros(), self._grid.to_cells(hot_windows))
         self._heatmaps.append(heatmap)
         lasting = keep_lasting_heat(np.array(self._heatmaps), self.heat_filter.n_occ_thr)
         filtered = apply_threshold(lasting, self.heat_filter.threshold)
         cells, scores = find_blobs(filtered)
-        boxes = self._grid.to_pixels(cells)
-        return Detections(hot_windows, heatmap, filtered, self._grid, boxes, scores)
+        self._boxes = self._grid.to_pixels(cells)
+        return Detections(hot_windows, heatmap, filtered, self._grid, self._boxes, scores)
 
     def draw(self, rgb_frame, detections):
         """Boxes on the frame, then undistortion if there is a calibration."""

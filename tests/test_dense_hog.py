@@ -10,11 +10,14 @@ from conftest import textured_image
 from dense_hog import hog_blocks, tile_histograms
 
 
-def reference(channel, orientations, cell, block):
-    return hog(
-        channel, orientations, (cell, cell), (block, block),
-        block_norm="L2-Hys", transform_sqrt=True, feature_vector=False,
-    )  # fmt: skip
+def reference(img, orientations, cell, block):
+    return [
+        hog(
+            img[..., c], orientations, (cell, cell), (block, block),
+            block_norm="L2-Hys", transform_sqrt=True, feature_vector=False,
+        )
+        for c in range(img.shape[2])
+    ]  # fmt: skip
 
 
 @settings(max_examples=60, deadline=None)
@@ -27,13 +30,13 @@ def reference(channel, orientations, cell, block):
     block=st.integers(1, 3),
 )
 def test_equals_scikit_image(seed, rows, columns, orientations, cell, block):
-    channel = textured_image(seed, rows, columns)[..., 0]
+    img = textured_image(seed, rows, columns)
     if min(rows, columns) < cell * block:
         with pytest.raises(ValueError, match="smaller than one HOG block"):
-            hog_blocks(channel, orientations, cell, block)
+            hog_blocks(img, orientations, cell, block)
         return
-    expected = reference(channel, orientations, cell, block)
-    np.testing.assert_allclose(hog_blocks(channel, orientations, cell, block), expected, atol=2e-6)
+    expected = reference(img, orientations, cell, block)
+    np.testing.assert_allclose(hog_blocks(img, orientations, cell, block), expected, atol=2e-6)
 
 
 @settings(max_examples=60, deadline=None)
@@ -48,28 +51,26 @@ def test_gradients_on_the_edge_of_a_bin(seed, orientations, levels):
     # Few levels, chosen for their square roots: axes, diagonals, 30, 60, 22.5
     # degrees turn up all over, and rounding alone decides between two bins.
     rng = np.random.default_rng(seed)
-    channel = rng.choice(np.array(levels, np.uint8), size=(48, 48))
-    expected = reference(channel, orientations, 8, 2)
-    np.testing.assert_allclose(hog_blocks(channel, orientations, 8, 2), expected, atol=2e-6)
+    img = rng.choice(np.array(levels, np.uint8), size=(48, 48, 2))
+    expected = reference(img, orientations, 8, 2)
+    np.testing.assert_allclose(hog_blocks(img, orientations, 8, 2), expected, atol=2e-6)
 
 
 def test_flat_image_has_no_gradient():
-    assert not hog_blocks(np.full((16, 16), 77, np.uint8), 9, 8, 1).any()
+    assert not hog_blocks(np.full((16, 16, 1), 77, np.uint8), 9, 8, 1).any()
 
 
 def test_vertical_edge_is_in_the_first_bin():
-    channel = np.zeros((16, 16), np.uint8)
-    channel[:, 8:] = 100
-    blocks = hog_blocks(channel, 8, 16, 1)
+    img = np.zeros((16, 16, 1), np.uint8)
+    img[:, 8:] = 100
+    blocks = hog_blocks(img, 8, 16, 1)
     np.testing.assert_allclose(blocks.ravel(), [1, 0, 0, 0, 0, 0, 0, 0], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "channel", [np.zeros((16, 16), np.float32), np.zeros((16, 16, 3), np.uint8)]
-)
-def test_refuses_what_is_no_channel(channel):
-    with pytest.raises(ValueError, match="one uint8 channel"):
-        hog_blocks(channel, 9, 8, 2)
+@pytest.mark.parametrize("img", [np.zeros((16, 16, 3), np.float32), np.zeros((16, 16), np.uint8)])
+def test_refuses_what_is_no_image(img):
+    with pytest.raises(ValueError, match="needs uint8 channels"):
+        hog_blocks(img, 9, 8, 2)
 
 
 def test_tile_histograms_by_numpy():

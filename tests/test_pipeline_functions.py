@@ -1,6 +1,7 @@
 """Every function of the flat module against an independent computation."""
 
 import colorsys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -288,6 +289,47 @@ def test_search_finds_the_one_window_it_was_made_for():
     Redness.params = params
     windows, scores = find_cars(frame, Redness(), search)
     np.testing.assert_array_equal(windows[scores > 0], [(112, 32, 176, 96)])
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    scale=st.floats(0.8, 2.5),
+    cells_per_step=st.integers(1, 4),
+    horizon=st.none() | st.integers(60, 200),
+    n_boxes=st.integers(0, 3),
+)
+def test_visiting_less_scores_the_same(seed, scale, cells_per_step, horizon, n_boxes):
+    rng = np.random.default_rng(seed)
+    frame = textured_image(seed, 240, 320)
+    classifier = random_classifier(FEATURE_PRESETS["G"], seed)
+    everywhere = SearchParams(
+        bands=((scale, 40, 240), (1, 0, 150)),
+        cells_per_step=cells_per_step,
+        reference_size=(320, 240),
+    )
+    corners = rng.integers(0, 200, size=(n_boxes, 2))
+    boxes = np.hstack([corners, corners + rng.integers(20, 90, size=(n_boxes, 2))])
+    windows, scores = find_cars(frame, classifier, everywhere)
+    search = replace(everywhere, horizon=horizon)
+    visited, visited_scores = find_cars(frame, classifier, search, boxes)
+
+    def wanted(window):
+        left, top, right, bottom = window
+        x, y = (left + right) / 2, (top + bottom) / 2
+        near = any(
+            abs(x - (b[0] + b[2]) / 2) <= b[2] - b[0] and abs(y - (b[1] + b[3]) / 2) <= b[3] - b[1]
+            for b in boxes
+        )
+        if horizon is None:
+            return near
+        size, below = right - left, bottom - horizon
+        possible = 0.6 * below < size < 3.5 * below and abs(x - 160) < 7 * size + 320 / 6
+        return near and possible
+
+    chosen = np.array([wanted(window) for window in windows])
+    np.testing.assert_array_equal(visited, windows[chosen])
+    np.testing.assert_allclose(visited_scores, scores[chosen], atol=1e-4)
 
 
 @pytest.mark.parametrize(

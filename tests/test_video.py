@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ from calibrate import Calibration, save_calibration
 from classifier import save_classifier
 from conftest import ROOT, random_classifier, textured_image
 from files import write_image
-from pipeline_functions import FEATURE_PRESETS, SEARCH_PRESETS, FeatureParams
+from pipeline_functions import FEATURE_PRESETS, SEARCH_PRESETS, FeatureParams, are_near
 from vehicle import FILTER_PRESETS, FilterParams, Vehicle
 from video import VideoInfo, read_frames, video_info, video_writer
 
@@ -84,6 +85,21 @@ def test_calibration_straightens_only_the_picture(param, tmp_path):
     expected = cv2.undistort(plain.draw(frame, detections), mtx, straight.calibration.dist)
     difference = np.abs(straight.draw(frame, detections).astype(int) - expected)
     assert np.mean(difference) < 1 and not np.array_equal(expected, frame)
+
+
+def test_between_scans_only_known_places_are_visited(param):
+    search = replace(SEARCH_PRESETS["G"], scan_every=3)
+    vehicle = Vehicle(None, param, search, FilterParams(1, 1, 2))
+    full = Vehicle(None, param, heat_filter=FilterParams(1, 1, 2))
+    known = None
+    for number, frame in enumerate(moving_frames(7)):
+        detections = vehicle.detect(frame)
+        expected = full.detect(frame).hot_windows
+        if number % 3:
+            expected = expected[are_near(expected, known)]
+        np.testing.assert_array_equal(detections.hot_windows, expected)
+        known = detections.boxes
+    assert len(known) > 0
 
 
 def test_reset_forgets(param):

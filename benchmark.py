@@ -1,0 +1,320 @@
+"""How long everything takes, and against what.
+
+    python benchmark.py [--video V] [--data FOLDER] [--json]
+
+Machines are noisy: whatever is compared runs alternately, and medians are
+printed. The reference is the published way, window by window on scikit-image,
+in `tests/reference.py`.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from itertools import islice
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import matplotlib.pyplot as plt
+import numpy as np
+from moviepy import VideoFileClip
+from sklearn.preprocessing import StandardScaler
+from sklearn.svm import LinearSVC
+
+from classifier import load_classifier
+from dense_hog import hog_blocks
+from detect import annotate_video
+from files import find_images, read_image, written_whole
+from pipeline_functions import (
+    FEATURE_PRESETS,
+    SEARCH_PRESETS,
+    SearchParams,
+    convert_color,
+    dense_features,
+    find_cars,
+    slide_window,
+)
+from train import train
+from vehicle import Vehicle
+from video import VideoInfo, read_frames, video_info, video_writer
+
+sys.path.insert(0, str(Path(__file__).parent / "tests"))
+import reference
+
+FRAME_SIZES = ((640, 360), (1280, 720), (1920, 1080))
+
+
+def milliseconds(function, repeats):
+    """Median time of a call in milliseconds, after one call to warm up."""
+    function()
+    return float(np.median([_once(function) for _ in range(repeats)]))
+
+
+def alternately(functions, rounds):
+    """Median milliseconds of several functions, called in turn, round after round.
+
+    Parameters
+    ----------
+    functions : dict of str to callable
+    rounds : int
+
+    Returns
+    -------
+    times : dict of str to float
+    """
+    times = {name: [] for name in functions}
+    for _ in range(rounds):
+        for name, function in functions.items():
+            times[name].append(_once(function))
+    return {name: float(np.median(values)) for name, values in times.items()}
+
+
+def _once(function):
+    start = time.perf_counter()
+    function()
+    return 1000 * (time.perf_counter() - start)
+
+
+# --------------------------------------------------------------- one frame
+
+
+def resized_bands(frame, search):
+    """The bands of a frame at the size in which they are searched."""
+    for _, top, (width, height), size in reference.bands(frame.shape, search):
+        yield cv2.resize(frame[top : top + height, :width], size)
+
+
+def stages(frames, paths):
+    """Milliseconds a frame of every stage, one after the other on one core."""
+    vehicle = Vehicle(*paths)
+    classifier, search = vehicle.classifier, vehicle.search
+    params, frame = classifier.params, frames[0]
+    bands = list(resized_bands(frame, search))
+    converted = [convert_color(band, params.hog_color) for band in bands]
+    features = [dense_features(band, params, search.cells_per_step) for band in bands]
+    rows = np.concatenate([block.reshape(-1, params.n_features) for block in features])
+    for frame in frames[:20]:
+        detections = vehicle.detect(frame)
+    hog = params.orientations, params.pix_per_cell, params.cells_per_block
+    calls = {
+        "undistort": lambda: vehicle.undistort(frame),
+        "resize": lambda: list(resized_bands(frame, search)),
+        "colour": lambda: [convert_color(band, params.hog_color) for band in bands],
+        "HOG": lambda: [hog_blocks(img, *hog) for img in converted],
+        "colour, HOG and features": lambda: [
+            dense_features(band, params, search.cells_per_step) for band in bands
+        ],
+        "scores": lambda: classifier.decision_function(rows),
+        "search": lambda: find_cars(frame, classifier, search),
+        "heat and labels": lambda: vehicle.remember(detections.hot_windows),
+        "drawing": lambda: vehicle.draw(frame, detections),
+    }
+    return {name: milliseconds(call, 25) for name, call in calls.items()}
+
+
+def detector(frames, paths):
+    """Whole detector against the published way of doing all of it, milliseconds a frame."""
+    vehicle = Vehicle(None, paths[1])
+    slow = reference.Detector(vehicle.classifier, vehicle.search, vehicle.heat_filter)
+    for frame in frames[:15]:
+        hot = vehicle.detect(frame).hot_windows
+        slow.heatmaps.append(reference.heatmap_of(hot, frame.shape))
+    upcoming = iter(frames[15:] * 100)
+    times = alternately(
+        {
+            "detector": lambda: [vehicle.detect(next(upcoming)) for _ in range(20)],
+            "reference": lambda: slow.detect(next(upcoming)),
+        },
+        rounds=7,
+    )
+    times["detector"] /= 20
+    return times | {"ratio": times["reference"] / times["detector"]}
+
+
+# --------------------------------------------------------------- whole jobs
+
+
+def video_job(clip, paths, folder, preset="ultrafast"):
+    """Annotating a video against copying it with moviepy, milliseconds a frame."""
+    vehicle = Vehicle(None, paths[1])
+
+    def copy():
+        with VideoFileClip(str(clip)) as source:
+            source.write_videofile(
+                str(folder / "copy.mp4"), preset=preset, audio=False, logger=None
+            )
+
+    times = alternately(
+        {
+            "video job": lambda: annotate_video(clip, folder / "job", vehicle, preset=preset),
+            "plain copy": copy,
+        },
+        rounds=3,
+    )
+    n_frames = video_info(clip).n_frames
+    times = {name: value / n_frames for name, value in times.items()}
+    return times | {
+        "ratio": times["video job"] / times["plain copy"],
+        "frames a second": 1000 / times["video job"],
+    }
+
+
+def reference_training(vehicles, others, params):
+    """Train as published: one image after the other, scikit-image, one core."""
+    features = []
+    for path in vehicles + others:
+        img = read_image(path)
+        features.append(reference.band_features(img, params, 1)[0, 0])
+    labels = np.repeat([1, 0], [len(vehicles), len(others)])
+    scaled = StandardScaler().fit_transform(np.array(features))
+    LinearSVC(C=0.001).fit(scaled, labels)
+
+
+def training(data):
+    """Seconds from images to classifier, against the reference, preset G."""
+    vehicles, others = find_images(data / "vehicles"), find_images(data / "non-vehicles")
+    params = FEATURE_PRESETS["G"]
+    arguments = SimpleNamespace(jobs=-1, search=False, C=0.001, seed=0)
+    times = alternately(
+        {
+            "training": lambda: train(vehicles, others, params, arguments),
+            "reference": lambda: reference_training(vehicles, others, params),
+        },
+        rounds=1,
+    )
+    times = {f"{name}, s": value / 1000 for name, value in times.items()}
+    return times | {"ratio": times["reference, s"] / times["training, s"]}
+
+
+_PEAK = """
+import re, sys
+from pathlib import Path
+from detect import annotate_video
+from vehicle import Vehicle
+annotate_video(Path(sys.argv[1]), Path(sys.argv[2]), Vehicle(None, sys.argv[3]))
+# Not getrusage: its peak includes that of the process this one was forked from.
+print(int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1]) / 1024)
+"""
+
+
+def peak_memory(frames, info, paths, folder, lengths):
+    """Peak memory of the video job in MB, by number of frames; reads /proc, Linux only."""
+    peaks = {}
+    for length in lengths:
+        clip = write_clip(folder / f"{length}.mp4", frames, info, length)
+        result = subprocess.run(
+            [sys.executable, "-c", _PEAK, clip, folder / "job", paths[1]],
+            cwd=Path(__file__).parent, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        peaks[f"{length} frames"] = float(result.stdout)
+    return peaks
+
+
+def write_clip(path, frames, info, length):
+    """A video of `length` frames, those given over and over."""
+    with video_writer(path, VideoInfo(info.width, info.height, info.fps, length)) as write:
+        for i in range(length):
+            write(frames[i % len(frames)])
+    return path
+
+
+# ------------------------------------------------------------------- growth
+
+
+def growth(frames, paths):
+    """Milliseconds by frame size, by number of windows, by number of frames."""
+    classifier = load_classifier(paths[1])
+    search = SEARCH_PRESETS["G"]
+    by_size, by_windows, by_frames = {}, {}, {}
+    for size in FRAME_SIZES:
+        resized = cv2.resize(frames[0], size)
+        by_size[size[0] * size[1]] = milliseconds(
+            lambda f=resized: find_cars(f, classifier, search), 15
+        )
+    for cells in (8, 4, 2, 1):
+        other = SearchParams(bands=search.bands, cells_per_step=cells)
+        n_windows = len(slide_window(frames[0].shape, classifier.params, other))
+        by_windows[n_windows] = milliseconds(
+            lambda s=other: find_cars(frames[0], classifier, s), 15
+        )
+    vehicle = Vehicle(None, paths[1])
+    for count in (10, 30, 100):
+        vehicle.reset()
+        by_frames[count] = _once(
+            lambda n=count: [vehicle.detect(frames[i % len(frames)]) for i in range(n)]
+        )
+    return {"pixels": by_size, "windows": by_windows, "frames": by_frames}
+
+
+def draw_growth(figures):
+    """Log-log figure of `growth`."""
+    figure, axes = plt.subplots(1, 3, figsize=(12, 3.5), layout="constrained")
+    for axis, (name, times) in zip(axes, figures.items(), strict=True):
+        axis.loglog(list(times), list(times.values()), marker="o")
+        axis.set(xlabel=name, ylabel="milliseconds")
+        axis.grid(which="both", alpha=0.3)
+    return figure
+
+
+# --------------------------------------------------------------- command line
+
+
+def measure(arguments, folder):
+    """Every figure, as a dict of dicts."""
+    paths = arguments.calib, arguments.param
+    info = video_info(arguments.video)
+    frames = list(islice(read_frames(arguments.video), 100))
+    clip = write_clip(folder / "clip.mp4", frames, info, arguments.frames)
+    figures = {
+        "milliseconds a frame, by stage": stages(frames, paths),
+        "milliseconds a frame, detector": detector(frames, paths),
+        "milliseconds a frame, video": video_job(clip, paths, folder),
+        "peak memory of the video job, MB": peak_memory(
+            frames, info, paths, folder, (100, 400, 1260)
+        ),
+        **{f"milliseconds by {k}": v for k, v in growth(frames, paths).items()},
+    }
+    if arguments.data:
+        figures["training"] = training(arguments.data)
+    return figures
+
+
+def main():
+    """Run the command line."""
+    parser = argparse.ArgumentParser(
+        description="Time the detector, its stages and its jobs.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    parser.add_argument("--video", type=Path, default=Path("videos/drive.mp4"))
+    parser.add_argument("--frames", type=int, default=300, help="length of the video job")
+    parser.add_argument(
+        "--data", type=Path, help="folder with vehicles/ and non-vehicles/: also time training"
+    )
+    parser.add_argument("--param", type=Path, default=Path("param/svc_pickle.p"))
+    parser.add_argument("--calib", type=Path, default=Path("param/calib.p"))
+    parser.add_argument("--out", type=Path, default=Path("output"), help="for the figure")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    arguments = parser.parse_args()
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            figures = measure(arguments, Path(folder))
+    except (OSError, ValueError) as error:
+        sys.exit(f"error: {error}")
+    if arguments.json:
+        print(json.dumps(figures, indent=1))
+    else:
+        for title, values in figures.items():
+            print(title)
+            for name, value in values.items():
+                print(f"  {name!s:28}{value:10.2f}")
+    curves = {k.removeprefix("milliseconds by "): v for k, v in figures.items() if " by " in k}
+    curves.pop("milliseconds a frame, by stage", None)
+    with written_whole(arguments.out / "growth.png") as partial:
+        draw_growth(curves).savefig(partial, dpi=90)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,351 @@
+"""Hold detections against the truth.
+
+    python evaluate.py TRUTH DETECTIONS [--frames A:B] [--json] [--picture P.png]
+
+Truth rows with conf 0 are ignore regions: a detection that matches no
+required vehicle and lies by half of its own area in one is neither right nor
+wrong.
+"""
+
+import argparse
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import motmetrics
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+HEIGHT_EDGES = (30, 40, 60, 100, np.inf)
+# A vehicle that comes back after this many frames has to be found anew.
+_NEW_ENTRY_GAP = 25
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of a MOTChallenge file.
+
+    Attributes
+    ----------
+    frames, ids : ndarray of int, shape (n,)
+    boxes : ndarray of float, shape (n, 4)
+        left, top, right, bottom in pixels.
+    scores : ndarray of float, shape (n,)
+        The seventh column: score of a detection, conf of a truth row.
+    """
+
+    frames: np.ndarray
+    ids: np.ndarray
+    boxes: np.ndarray
+    scores: np.ndarray
+
+    def only(self, chosen):
+        """The rows that a mask or index array picks."""
+        return Rows(self.frames[chosen], self.ids[chosen], self.boxes[chosen], self.scores[chosen])
+
+
+def read_rows(path):
+    """Read a MOTChallenge file.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        The file is missing; a row is not seven or more numbers.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file of boxes")
+    lines = [line for line in path.read_text().splitlines() if line.strip()]
+    try:
+        values = np.array([[float(v) for v in line.split(",")[:7]] for line in lines])
+        values = values.reshape(-1, 7)
+    except ValueError as error:
+        raise ValueError(f"{path}: rows are to be frame,id,left,top,width,height,score") from error
+    boxes = np.hstack([values[:, 2:4], values[:, 2:4] + values[:, 4:6]])
+    return Rows(values[:, 0].astype(int), values[:, 1].astype(int), boxes, values[:, 6])
+
+
+def pairwise_overlap(boxes, others):
+    """Intersection of every box with every other, in square pixels, shape (n, m)."""
+    low = np.maximum(boxes[:, None, :2], others[None, :, :2])
+    high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
+    return np.clip(high - low, 0, None).prod(axis=2)
+
+
+def pairwise_iou(boxes, others):
+    """Intersection over union of every box with every other, shape (n, m)."""
+    common = pairwise_overlap(boxes, others)
+    areas, other_areas = ((b[:, 2:] - b[:, :2]).prod(axis=1) for b in (boxes, others))
+    union = areas[:, None] + other_areas[None] - common
+    return np.divide(common, union, out=np.zeros_like(common), where=union > 0)
+
+
+def match(required, detected, iou_threshold=0.5):
+    """Pairs of boxes that overlap enough, as many as possible, best first.
+
+    Parameters
+    ----------
+    required, detected : ndarray of float, shapes (n, 4), (m, 4)
+    iou_threshold : float
+
+    Returns
+    -------
+    rows, columns : ndarray of int
+        Indices of the pairs.
+    """
+    iou = pairwise_iou(required, detected)
+    gain = np.where(iou >= iou_threshold, 1 + iou, 0)
+    rows, columns = linear_sum_assignment(gain, maximize=True)
+    good = gain[rows, columns] > 0
+    return rows[good], columns[good]
+
+
+def forgive(truth, detections, iou_threshold=0.5):
+    """Detections without those that the ignore regions excuse.
+
+    Parameters
+    ----------
+    truth, detections : Rows
+
+    Returns
+    -------
+    detections : Rows
+    """
+    counted = np.ones(len(detections.frames), bool)
+    for frame in np.unique(detections.frames):
+        here = np.flatnonzero(detections.frames == frame)
+        of_frame = truth.frames == frame
+        required = truth.boxes[of_frame & (truth.scores == 1)]
+        ignored = truth.boxes[of_frame & (truth.scores == 0)]
+        boxes = detections.boxes[here]
+        _, matched = match(required, boxes, iou_threshold)
+        areas = np.maximum((boxes[:, 2:] - boxes[:, :2]).prod(axis=1), 1e-9)
+        covered = pairwise_overlap(boxes, ignored).max(axis=1, initial=0) / areas
+        excused = covered >= 0.5
+        excused[matched] = False
+        counted[here[excused]] = False
+    return detections.only(counted)
+
+
+def accumulate(truth, detections, frames, iou_threshold=0.5):
+    """Match frame by frame with motmetrics.
+
+    Parameters
+    ----------
+    truth, detections : Rows
+        Required vehicles; detections that count.
+    frames : range
+
+    Returns
+    -------
+    accumulator : motmetrics.MOTAccumulator
+    """
+    accumulator = motmetrics.MOTAccumulator()
+    # Detections without identity get one each, or they would all be one track.
+    ids = np.where(detections.ids < 0, -1 - np.arange(len(detections.ids)), detections.ids)
+    for frame in frames:
+        wanted, found = truth.frames == frame, detections.frames == frame
+        distance = 1 - pairwise_iou(truth.boxes[wanted], detections.boxes[found])
+        distance[distance > 1 - iou_threshold] = np.nan
+        accumulator.update(truth.ids[wanted], ids[found], distance, frameid=frame)
+    return accumulator
+
+
+_METRICS = {
+    "recall": "recall",
+    "precision": "precision",
+    "num_false_positives": "false positives",
+    "num_misses": "misses",
+    "motp": "mean distance",
+    "mota": "MOTA",
+    "idf1": "IDF1",
+    "num_switches": "identity switches",
+    "num_fragmentations": "fragmentations",
+}
+
+
+def evaluate(truth, detections, frames=None, iou_threshold=0.5):
+    """All figures of detections against the truth.
+
+    Parameters
+    ----------
+    truth, detections : Rows
+    frames : range, optional
+        All frames of the truth by default.
+    iou_threshold : float
+
+    Returns
+    -------
+    figures : dict
+        Plain numbers, and two dicts: recall by height, and by vehicle the
+        frames from its entry to its first box. IDF1, switches and
+        fragmentations are None where detections carry no identity, and MOTA
+        then counts misses and false positives only.
+    """
+    if frames is None:
+        frames = range(int(truth.frames.min()), int(truth.frames.max()) + 1)
+    truth, detections = (
+        rows.only((rows.frames >= frames.start) & (rows.frames < frames.stop))
+        for rows in (truth, detections)
+    )
+    required = truth.only(truth.scores == 1)
+    counted = forgive(truth, detections, iou_threshold)
+    accumulator = accumulate(required, counted, frames, iou_threshold)
+    summary = motmetrics.metrics.create().compute(accumulator, metrics=list(_METRICS), name="all")
+    figures = {name: summary.loc["all", metric] for metric, name in _METRICS.items()}
+    figures = {
+        name: int(value) if isinstance(value, np.integer) else float(value)
+        for name, value in figures.items()
+    }
+    figures["frames"] = len(frames)
+    figures["required boxes"] = len(required.frames)
+    figures["false positives per frame"] = figures["false positives"] / len(frames)
+    figures["mean IoU"] = 1 - figures.pop("mean distance")
+    if len(detections.ids) and (detections.ids < 0).all():
+        figures |= dict.fromkeys(("IDF1", "identity switches", "fragmentations"))
+        errors = figures["misses"] + figures["false positives"]
+        figures["MOTA"] = 1 - errors / max(1, len(required.frames))
+    found = _found(accumulator, required)
+    figures["recall by height"] = _recall_by_height(required, found)
+    figures["frames to first box"] = _entry_delays(required, found)
+    return figures
+
+
+def _found(accumulator, required):
+    """Which required boxes were matched, ndarray of bool."""
+    events = accumulator.mot_events.reset_index()
+    hits = events[events["Type"].isin(["MATCH", "SWITCH"])]
+    pairs = set(zip(hits["FrameId"].astype(int), hits["OId"].astype(int), strict=True))
+    return np.array(
+        [pair in pairs for pair in zip(required.frames, required.ids, strict=True)], bool
+    )
+
+
+def _recall_by_height(required, found):
+    heights = required.boxes[:, 3] - required.boxes[:, 1]
+    recalls = {}
+    for low, high in zip(HEIGHT_EDGES[:-1], HEIGHT_EDGES[1:], strict=True):
+        chosen = (heights >= low) & (heights < high)
+        name = f"{low}-{high} px" if np.isfinite(high) else f"{low} px and more"
+        recalls[name] = float(found[chosen].mean()) if chosen.any() else None
+    return recalls
+
+
+def _entry_delays(required, found):
+    """Frames from each entry of a vehicle to its first box; None if there never is one."""
+    delays = {}
+    for identity in np.unique(required.ids):
+        own = required.ids == identity
+        frames, hits = required.frames[own], found[own]
+        starts = np.flatnonzero(np.diff(frames, prepend=-(10**9)) > _NEW_ENTRY_GAP)
+        for start, stop in zip(starts, [*starts[1:], len(frames)], strict=True):
+            seen = np.flatnonzero(hits[start:stop])
+            delay = int(frames[start + seen[0]] - frames[start]) if len(seen) else None
+            delays[f"{identity} from {frames[start]}"] = delay
+    return delays
+
+
+# ------------------------------------------------------------------ showing
+
+
+def table(figures):
+    """Figures as lines of text."""
+    lines = []
+    for name, value in figures.items():
+        if isinstance(value, dict):
+            inner = ", ".join(f"{key}: {_number(v)}" for key, v in value.items())
+            lines.append(f"{name:28}{inner}")
+        else:
+            lines.append(f"{name:28}{_number(value)}")
+    return "\n".join(lines)
+
+
+def _number(value):
+    if value is None or (isinstance(value, float) and np.isnan(value)):
+        return "-"
+    return str(value) if isinstance(value, int) else f"{value:.3f}"
+
+
+def precision_recall(truth, detections, iou_threshold=0.5, steps=40):
+    """Precision and recall over the threshold on the score.
+
+    Returns
+    -------
+    thresholds, precision, recall : ndarray of float, shape (steps,)
+    """
+    required = truth.only(truth.scores == 1)
+    thresholds = np.quantile(detections.scores, np.linspace(0, 0.99, steps))
+    curve = []
+    for threshold in thresholds:
+        kept = forgive(truth, detections.only(detections.scores >= threshold), iou_threshold)
+        n_matched = sum(
+            len(match(required.boxes[required.frames == frame],
+                      kept.boxes[kept.frames == frame], iou_threshold)[0])
+            for frame in np.unique(kept.frames)
+        )  # fmt: skip
+        curve.append((n_matched / max(1, len(kept.frames)), n_matched / len(required.frames)))
+    precision, recall = np.array(curve).T
+    return thresholds, precision, recall
+
+
+def draw_evaluation(truth, detections, iou_threshold=0.5):
+    """Figure with the precision-recall curve and a timeline of errors.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+    """
+    figure, (curve, timeline) = plt.subplots(
+        2, 1, figsize=(10, 7), height_ratios=(2, 1), layout="constrained"
+    )
+    _, precision, recall = precision_recall(truth, detections, iou_threshold)
+    curve.plot(recall, precision, marker=".")
+    curve.set(xlabel="recall", ylabel="precision", xlim=(0, 1.02), ylim=(0, 1.02))
+    frames = range(int(truth.frames.min()), int(truth.frames.max()) + 1)
+    required, counted = truth.only(truth.scores == 1), forgive(truth, detections, iou_threshold)
+    misses, alarms = [], []
+    for frame in frames:
+        wanted = required.boxes[required.frames == frame]
+        found = counted.boxes[counted.frames == frame]
+        n_matched = len(match(wanted, found, iou_threshold)[0])
+        misses.append(len(wanted) - n_matched)
+        alarms.append(len(found) - n_matched)
+    timeline.fill_between(frames, misses, step="mid", color="tab:orange", label="missed")
+    timeline.fill_between(
+        frames, -np.array(alarms), step="mid", color="tab:red", label="false positives"
+    )
+    timeline.set(xlabel="frame", ylabel="boxes")
+    timeline.legend(loc="upper left")
+    return figure
+
+
+def parse_frames(text):
+    """A:B, both included, to a range."""
+    first, last = (int(part) for part in text.split(":"))
+    return range(first, last + 1)
+
+
+def main():
+    """Run the command line."""
+    parser = argparse.ArgumentParser(description="Hold detections against the truth.")
+    parser.add_argument("truth", type=Path, help="MOTChallenge rows, conf 0 to ignore")
+    parser.add_argument("detections", type=Path, help="MOTChallenge rows of detect.py")
+    parser.add_argument("--frames", type=parse_frames, metavar="A:B", help="both included")
+    parser.add_argument("--iou", type=float, default=0.5, help="of a match, default: 0.5")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.add_argument("--picture", type=Path, help="png to write curve and timeline to")
+    arguments = parser.parse_args()
+    try:
+        truth, detections = read_rows(arguments.truth), read_rows(arguments.detections)
+    except (OSError, ValueError) as error:
+        sys.exit(f"error: {error}")
+    figures = evaluate(truth, detections, arguments.frames, arguments.iou)
+    print(json.dumps(figures, indent=1) if arguments.json else table(figures))
+    if arguments.picture:
+        draw_evaluation(truth, detections, arguments.iou).savefig(arguments.picture, dpi=90)
+
+
+if __name__ == "__main__":
+    main()
