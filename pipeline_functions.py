@@ -13,7 +13,7 @@ from math import gcd
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
+from numpy.lib.stride_tricks import as_strided
 from scipy.ndimage import find_objects, label, maximum
 from skimage.feature import hog
 
@@ -361,28 +361,28 @@ def _feature_groups(converted, params, cells_per_step):
 def _spatial_windows(img, params, cells_per_step):
     """`bin_spatial` of every window.
 
-    Shrinking by a whole factor takes the middle pixel of every square of that
-    many pixels, or the rounded mean of the middle four, so one shrunk image
-    holds the pixels of all windows that lie a multiple of its pitch apart.
+    A window shrinks by a whole factor, and so does the image: one shrunk
+    image holds the pixels of all windows that lie a multiple of the factor
+    apart, and shrunk images of shifted copies hold those between.
     """
     factor = params.window_size // params.spatial_size
     step = cells_per_step * params.pix_per_cell
     pitch = gcd(factor, step)
-    middle = (factor - 1) // 2
-    if factor % 2:
-        shrunk = img[middle::pitch, middle::pitch]
-    else:
-        rows, columns = (side - 1 for side in img.shape[:2])
-        pairs = np.add(img[middle:rows:pitch], img[middle + 1 :: pitch], dtype=np.uint16)
-        fours = pairs[:, middle:columns:pitch] + pairs[:, middle + 1 :: pitch]
-        shrunk = (fours + 2) >> 2
-    size, stride = params.spatial_size, factor // pitch
-    extent = (size - 1) * stride + 1
-    windows = sliding_window_view(shrunk, (extent, extent), axis=(0, 1))
-    windows = windows[:: step // pitch, :: step // pitch, ..., ::stride, ::stride]
-    rows, columns = _window_counts(img.shape, params.window_size, step)
-    windows = windows[:rows, :columns]
-    return windows if img.ndim == 2 else windows.transpose(0, 1, 3, 4, 2)
+    rows, columns = (side // factor for side in img.shape[:2])
+    n_shifts = factor // pitch
+    shrunk = np.empty((rows * n_shifts, columns * n_shifts, *img.shape[2:]), np.uint8)
+    for i, k in np.ndindex(n_shifts, n_shifts):
+        shifted = img[i * pitch :, k * pitch :]
+        size = shifted.shape[1] // factor, shifted.shape[0] // factor
+        whole = shifted[: size[1] * factor, : size[0] * factor]
+        shrunk[i::n_shifts, k::n_shifts][: size[1], : size[0]] = cv2.resize(
+            whole, size, interpolation=cv2.INTER_LINEAR
+        )
+    counts = _window_counts(img.shape, params.window_size, step)
+    y, x, *channel = shrunk.strides
+    strides = (y * step // pitch, x * step // pitch, y * n_shifts, x * n_shifts, *channel)
+    shape = (*counts, params.spatial_size, params.spatial_size, *img.shape[2:])
+    return as_strided(shrunk, shape, strides, writeable=False)
 
 
 def _histogram_windows(channel, params, cells_per_step):
@@ -412,9 +412,11 @@ def _hog_windows(img, params, cells_per_step):
     """HOG blocks of every window, channel by channel."""
     blocks = hog_blocks(img, params.orientations, params.pix_per_cell, params.cells_per_block)
     extent = params.window_size // params.pix_per_cell - params.cells_per_block + 1
-    windows = sliding_window_view(blocks, (extent, extent), axis=(1, 2))
-    windows = windows[:, ::cells_per_step, ::cells_per_step]
-    return windows.transpose(1, 2, 0, 6, 7, 3, 4, 5)
+    counts = _window_counts(img.shape, params.window_size, cells_per_step * params.pix_per_cell)
+    channel, y, x, *inner = blocks.strides
+    strides = (y * cells_per_step, x * cells_per_step, channel, y, x, *inner)
+    shape = (*counts, len(blocks), extent, extent, *blocks.shape[3:])
+    return as_strided(blocks, shape, strides, writeable=False)
 
 
 # ------------------------------------------------------------------- windows
