@@ -164,6 +164,9 @@ def parse_arguments(arguments=None):
         "--filter", choices=("G", "B"), default="G", help="temporal filter of write-up G or B"
     )
     parser.add_argument(
+        "--search", choices=SEARCH_PRESETS, default="G", help="scales and bands of write-up G or B"
+    )
+    parser.add_argument(
         "--horizon",
         type=float,
         metavar="SHARE",
@@ -185,8 +188,8 @@ def parse_arguments(arguments=None):
 
 
 def chosen_search(arguments):
-    """Search of preset G, with what the command line changes of it."""
-    search = SEARCH_PRESETS["G"]
+    """The preset search, with what the command line changes of it."""
+    search = SEARCH_PRESETS[arguments.search]
     horizon = arguments.horizon
     if horizon is not None:
         horizon *= search.reference_size[1]

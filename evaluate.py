@@ -67,6 +67,14 @@ def read_rows(path):
     return Rows(values[:, 0].astype(int), values[:, 1].astype(int), boxes, values[:, 6])
 
 
+def rows_of(boxes):
+    """Rows of boxes without identity or score, from one array (n, 4) a frame."""
+    counts = [len(of_frame) for of_frame in boxes]
+    frames = np.repeat(np.arange(1, len(boxes) + 1), counts)
+    stacked = np.concatenate([np.reshape(of_frame, (-1, 4)) for of_frame in boxes])
+    return Rows(frames, np.full(len(frames), -1), stacked.astype(float), np.ones(len(frames)))
+
+
 def pairwise_overlap(boxes, others):
     """Intersection of every box with every other, in square pixels, shape (n, m)."""
     low = np.maximum(boxes[:, None, :2], others[None, :, :2])

@@ -151,7 +151,7 @@ class SearchParams:
         horizon, large ones below, see `may_hold_vehicle`. None visits all.
     scan_every : int
         Every so many frames of a video all windows are visited, and between
-        them only those around the vehicles of the frame before.
+        them only those around what was warm in the frame before.
     reference_size : (width, height)
     """
 

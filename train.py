@@ -116,8 +116,17 @@ def fit_linear(features, labels, C, seed):
     return scaler, svm
 
 
-def fit_searched(features, labels, jobs):
+def fit_searched(features, labels, jobs, folds=5):
     """Scaler and the best SVM of G's grid; the scaler is fitted fold by fold.
+
+    Parameters
+    ----------
+    features : ndarray of float32, shape (n, n_features)
+    labels : ndarray of int, shape (n,)
+    jobs : int
+        Processes; -1 for one a core.
+    folds : int, or list of (train indices, test indices)
+        Of the cross-validation.
 
     Returns
     -------
@@ -129,7 +138,9 @@ def fit_searched(features, labels, jobs):
         {"svc__kernel": ["linear"], **values},
         {"svc__kernel": ["rbf"], "svc__gamma": [0.1, 1], **values},
     ]
-    search = GridSearchCV(make_pipeline(StandardScaler(), SVC()), grid, n_jobs=jobs, verbose=3)
+    search = GridSearchCV(
+        make_pipeline(StandardScaler(), SVC()), grid, cv=folds, n_jobs=jobs, verbose=3
+    )
     search.fit(features, labels)
     print(f"best: {search.best_params_}, cross-validated accuracy {search.best_score_:.4f}")
     return search.best_estimator_["standardscaler"], search.best_estimator_["svc"]

@@ -127,7 +127,9 @@ class Vehicle:
         self._grid = None
         self._frame_shape = None
         self._n_frames = 0
-        self._boxes = None
+        # Where a close search looks: what may become a vehicle counts too, or
+        # nothing would ever last long enough to become one.
+        self._warm_places = None
         self._heatmaps = deque(maxlen=self.heat_filter.n_acc)
 
     def process_image(self, rgb_frame):
@@ -168,7 +170,7 @@ class Vehicle:
             raise ValueError(f"a frame of {rgb_frame.shape} after one of {self._frame_shape}")
         everywhere = self._n_frames % self.search.scan_every == 0
         windows, scores = find_cars(
-            rgb_frame, self.classifier, self.search, None if everywhere else self._boxes
+            rgb_frame, self.classifier, self.search, None if everywhere else self._warm_places
         )
         self._n_frames += 1
         return self.remember(windows[scores > self.search.threshold])
@@ -190,8 +192,9 @@ class Vehicle:
         lasting = keep_lasting_heat(np.array(self._heatmaps), self.heat_filter.n_occ_thr)
         filtered = apply_threshold(lasting, self.heat_filter.threshold)
         cells, scores = find_blobs(filtered)
-        self._boxes = self._grid.to_pixels(cells)
-        return Detections(hot_windows, heatmap, filtered, self._grid, self._boxes, scores)
+        self._warm_places = self._grid.to_pixels(find_blobs(heatmap + filtered)[0])
+        boxes = self._grid.to_pixels(cells)
+        return Detections(hot_windows, heatmap, filtered, self._grid, boxes, scores)
 
     def draw(self, rgb_frame, detections):
         """Boxes on the frame, then undistortion if there is a calibration."""

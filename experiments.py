@@ -1,0 +1,417 @@
+"""Train and judge a table of configurations, and show what their accuracy hides.
+
+    python experiments.py run FOLDER --video V --truth T
+    python experiments.py report
+    python experiments.py grid FOLDER --id 19
+
+`run` takes the configurations of a small CSV file one after the other, as many
+at a time as there are cores or workers, and resumes where it was stopped.
+"""
+
+import argparse
+import contextlib
+import csv
+import io
+import re
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from joblib import Parallel, delayed, parallel_config
+from scipy.stats import spearmanr
+from sklearn.metrics import roc_auc_score
+from sklearn.model_selection import GroupKFold, train_test_split
+from tqdm import tqdm
+
+from classifier import Classifier, save_classifier
+from evaluate import evaluate, read_rows, rows_of
+from files import find_images, write_whole, written_whole
+from pipeline_functions import SEARCH_PRESETS, FeatureParams, SearchParams, extract_features
+from train import fit_linear, fit_searched, read_window
+from vehicle import Vehicle
+from video import read_frames
+
+SEEDS = (0, 1, 2)
+_HELD_OUT = 0.2
+# G's windows lie 16 pixels apart at scale 1, whatever the size of a cell.
+_PIXELS_PER_STEP = 16
+# Long enough that neighbours which show the same car mostly share one.
+_RUN_LENGTH = 100
+_COLUMNS = (
+    "id", "features", "accuracy", "accuracy_spread", "honest_accuracy", "honest_auc",
+    "fit_seconds", "recall", "precision", "false_positives_per_frame",
+)  # fmt: skip
+
+
+# -------------------------------------------------------------------- the set
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """All images of a training set, in the order in which they were taken.
+
+    Attributes
+    ----------
+    images : ndarray of uint8, shape (n, 64, 64, 3)
+        RGB.
+    labels : ndarray of int, shape (n,)
+        1 for vehicles.
+    sources : ndarray of int, shape (n,)
+        Which folder each is from: each folder was cut from videos of its own.
+    """
+
+    images: np.ndarray
+    labels: np.ndarray
+    sources: np.ndarray
+
+
+def numbers_in(path):
+    """Folder and number of an image file: sorting by it gives the order of taking."""
+    digits = re.findall(r"\d+", path.stem)
+    return path.parent, int(digits[-1]) if digits else 0
+
+
+def load_dataset(folder):
+    """Read folder/vehicles and folder/non-vehicles."""
+    paths, labels = [], []
+    for label, name in ((1, "vehicles"), (0, "non-vehicles")):
+        found = sorted(find_images(folder / name), key=numbers_in)
+        paths += found
+        labels += [label] * len(found)
+    images = np.stack([read_window(path, 64)[0] for path in tqdm(paths, "images", unit="image")])
+    folders = [str(path.parent) for path in paths]
+    _, sources = np.unique(folders, return_inverse=True)
+    return Dataset(images, np.array(labels), sources)
+
+
+def honest_split(sources):
+    """Hold out the last images of every source, a whole run of the video.
+
+    Neighbours show the same car, so a random split tests on near copies.
+
+    Parameters
+    ----------
+    sources : ndarray of int, shape (n,)
+
+    Returns
+    -------
+    held_out : ndarray of bool, shape (n,)
+    """
+    held_out = np.zeros(len(sources), bool)
+    for source in np.unique(sources):
+        own = np.flatnonzero(sources == source)
+        held_out[own[round(len(own) * (1 - _HELD_OUT)) :]] = True
+    return held_out
+
+
+def runs(sources):
+    """Number of the run of neighbours each image belongs to, ndarray of int, shape (n,)."""
+    position = np.zeros(len(sources), int)
+    for source in np.unique(sources):
+        own = sources == source
+        position[own] = np.arange(own.sum()) // _RUN_LENGTH
+    return np.unique(np.stack([sources, position]), axis=1, return_inverse=True)[1]
+
+
+# --------------------------------------------------------- one configuration
+
+
+def read_configurations(path):
+    """Rows of a CSV file of configurations, as dicts of str."""
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def feature_params(configuration):
+    """Features of a configuration; an empty colour leaves a group out."""
+    numbers = (
+        "orientations", "pix_per_cell", "cells_per_block", "spatial_size", "hist_bins",
+    )  # fmt: skip
+    colors = ("spatial_color", "hist_color", "hog_color")
+    return FeatureParams(
+        **{name: configuration[name] or None for name in colors},
+        **{name: int(configuration[name]) for name in numbers},
+    )
+
+
+def run_configuration(configuration, dataset, video, truth, frames):
+    """All figures of one configuration.
+
+    Parameters
+    ----------
+    configuration : dict
+    dataset : Dataset
+    video, truth : Path or None
+        Without them the figures of the detector stay empty.
+    frames : int
+        How many frames of the video are judged, from the first.
+
+    Returns
+    -------
+    row : dict
+        With the keys of the results file.
+    """
+    params, C = feature_params(configuration), float(configuration["C"])
+    features = np.stack([extract_features(img, params) for img in dataset.images])
+    indices = np.arange(len(features))
+    accuracies, classifiers = [], []
+    start = time.perf_counter()
+    for seed in SEEDS:
+        chosen, test = train_test_split(indices, test_size=_HELD_OUT, random_state=seed)
+        classifier = fitted(features[chosen], dataset.labels[chosen], params, C, seed)
+        predicted = classifier.decision_function(features[test]) > 0
+        accuracies.append(np.mean(predicted == dataset.labels[test]))
+        classifiers.append(classifier)
+    fit_seconds = (time.perf_counter() - start) / len(SEEDS)
+
+    held_out = honest_split(dataset.sources)
+    honest = fitted(features[~held_out], dataset.labels[~held_out], params, C, SEEDS[0])
+    scores = honest.decision_function(features[held_out])
+    row = {
+        "id": configuration["id"],
+        "features": params.n_features,
+        "accuracy": f"{np.mean(accuracies):.4f}",
+        "accuracy_spread": f"{np.ptp(accuracies):.4f}",
+        "honest_accuracy": f"{np.mean((scores > 0) == dataset.labels[held_out]):.4f}",
+        "honest_auc": f"{roc_auc_score(dataset.labels[held_out], scores):.5f}",
+        "fit_seconds": f"{fit_seconds:.1f}",
+    }
+    if video is not None:
+        row |= judge_detector(classifiers[0], video, truth, frames)
+    return row
+
+
+def fitted(features, labels, params, C, seed):
+    """Classifier fitted to features."""
+    scaler, svm = fit_linear(features, labels, C, seed)
+    counts = {"vehicles": int(labels.sum()), "non-vehicles": int((1 - labels).sum())}
+    return Classifier(svm, scaler, params, counts)
+
+
+def judge_detector(classifier, video, truth, frames):
+    """Precision, recall and false positives on the first frames of a video, with G's filter."""
+    cells_per_step = max(1, _PIXELS_PER_STEP // classifier.params.pix_per_cell)
+    search = SearchParams(SEARCH_PRESETS["G"].bands, cells_per_step)
+    with tempfile.TemporaryDirectory() as folder:
+        save_classifier(classifier, Path(folder) / "svc.p")
+        vehicle = Vehicle(None, Path(folder) / "svc.p", search)
+    boxes = [vehicle.detect(frame).boxes for frame in islice(read_frames(video), frames)]
+    figures = evaluate(read_rows(truth), rows_of(boxes), range(1, frames + 1))
+    return {
+        "recall": f"{figures['recall']:.3f}",
+        "precision": f"{figures['precision']:.3f}",
+        "false_positives_per_frame": f"{figures['false positives per frame']:.3f}",
+    }
+
+
+# ------------------------------------------------------------------- the table
+
+
+def read_results(path):
+    """Finished rows of a results file, by id; none if there is no file yet."""
+    if not Path(path).is_file():
+        return {}
+    return {row["id"]: row for row in read_configurations(path)}
+
+
+def write_results(path, results):
+    """Write rows, by id, in the order of the ids."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    for identity in sorted(results, key=lambda value: (len(value), value)):
+        writer.writerow(results[identity])
+    write_whole(path, text.getvalue())
+
+
+@contextlib.contextmanager
+def workers(scheduler, jobs, large):
+    """Run joblib's work on this machine's cores, or on the workers of a Dask scheduler.
+
+    Parameters
+    ----------
+    scheduler : str or None
+        Address of a `dask scheduler`, tcp://host:port.
+    jobs : int
+    large : list
+        What is sent to the workers once instead of with every task.
+    """
+    if scheduler is None:
+        with parallel_config(n_jobs=jobs):
+            yield
+        return
+    from distributed import Client
+
+    with Client(scheduler), parallel_config(backend="dask", scatter=large):
+        yield
+
+
+def run_all(configurations, results_path, task, arguments):
+    """Run the configurations that have no result yet; every result is kept at once.
+
+    Parameters
+    ----------
+    configurations : list of dict
+    results_path : Path
+    task : callable
+        Takes a configuration and `arguments`, returns a row.
+    arguments : tuple
+    """
+    results = read_results(results_path)
+    missing = [c for c in configurations if c["id"] not in results]
+    rows = Parallel(return_as="generator_unordered", pre_dispatch="all", batch_size=1)(
+        delayed(task)(configuration, *arguments) for configuration in missing
+    )
+    n_all = len(configurations)
+    for row in tqdm(rows, "configurations", n_all, initial=n_all - len(missing)):
+        results[row["id"]] = row
+        write_results(results_path, results)
+    return results
+
+
+# ------------------------------------------------------------------ the report
+
+
+def markdown(configurations, results):
+    """The table of all configurations as Markdown."""
+    lines = [
+        "| ID | spatial / histogram / HOG | C | features | published | random split (spread) | "
+        "honest split | AUC | fit, s | recall | precision | false positives a frame |",
+        "|" + "---|" * 12,
+    ]
+    for c in configurations:
+        row = results.get(c["id"])
+        if row is None:
+            continue
+        hog = f"{c['hog_color']},{c['orientations']},{c['pix_per_cell']},{c['cells_per_block']}"
+        what = f"{c['spatial_color'] or '-'} / {c['hist_color'] or '-'} / {hog}"
+        count = row["features"]
+        if count != c["published_features"]:
+            count += f" (published {c['published_features']}: cannot be)"
+        lines.append(
+            f"| {c['id']} | {what} | {c['C']} | {count} | {c['published_accuracy']} | "
+            f"{row['accuracy']} ({row['accuracy_spread']}) | {row['honest_accuracy']} | "
+            f"{row['honest_auc']} | {row['fit_seconds']} | {row['recall']} | "
+            f"{row['precision']} | {row['false_positives_per_frame']} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def draw_report(configurations, results):
+    """Figure: published against reproduced, random against honest, honest against the video."""
+    chosen = [c for c in configurations if c["id"] in results]
+    rows = [results[c["id"]] for c in chosen]
+    published = np.array([float(c["published_accuracy"]) for c in chosen])
+    names = "accuracy", "honest_accuracy", "false_positives_per_frame"
+    random, honest, alarms = (np.array([float(row[n] or "nan") for row in rows]) for n in names)
+    pairs = (
+        (published, random, "published accuracy", "reproduced accuracy"),
+        (random, honest, "accuracy, random split", "accuracy, honest split"),
+        (honest, alarms, "accuracy, honest split", "false positives a frame"),
+    )
+    figure, axes = plt.subplots(1, 3, figsize=(15, 5), layout="constrained")
+    for axis, (x, y, x_name, y_name) in zip(axes, pairs, strict=True):
+        axis.scatter(x, y, s=14)
+        for c, place in zip(chosen, zip(x, y, strict=True), strict=True):
+            if np.isfinite(place).all():
+                axis.annotate(c["id"], place, (3, 3), textcoords="offset points", fontsize=8)
+        axis.set(xlabel=x_name, ylabel=y_name)
+    axes[0].axline((0.98, 0.98), slope=1, color="gray", lw=0.8)
+    return figure
+
+
+# ---------------------------------------------------------------- command line
+
+
+def search_grid(configuration, dataset, jobs, count):
+    """G's grid search on one configuration, runs of neighbours kept together.
+
+    Parameters
+    ----------
+    configuration : dict
+    dataset : Dataset
+    jobs : int
+    count : int
+        Images to take, evenly spread: an SVM with a kernel takes the square
+        of it in time.
+    """
+    chosen = np.linspace(0, len(dataset.labels) - 1, min(count, len(dataset.labels))).astype(int)
+    params = feature_params(configuration)
+    features = np.stack([extract_features(dataset.images[i], params) for i in chosen])
+    folds = GroupKFold(5).split(features, groups=runs(dataset.sources)[chosen])
+    fit_searched(features, dataset.labels[chosen], jobs, list(folds))
+
+
+def parse_arguments(arguments=None):
+    """Command line to a namespace; `--help` explains it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    commands = parser.add_subparsers(dest="command", required=True)
+    run = commands.add_parser("run", help="train and judge what has no result yet")
+    grid = commands.add_parser("grid", help="grid search over kernel, C and gamma")
+    report = commands.add_parser("report", help="write the table and the figure")
+    for command in (run, grid, report):
+        command.add_argument(
+            "--configurations", type=Path, default=Path("results/configurations.csv")
+        )
+    for command in (run, report):
+        command.add_argument("--results", type=Path, default=Path("results/experiments.csv"))
+    for command in (run, grid):
+        command.add_argument("data", type=Path, help="folder with vehicles/ and non-vehicles/")
+        command.add_argument("--jobs", type=int, default=-1, help="processes; -1: one a core")
+    run.add_argument("--video", type=Path, help="to judge the detector on")
+    run.add_argument("--truth", type=Path, help="true boxes of the video")
+    run.add_argument("--frames", type=int, default=630, help="of the video, from the first")
+    run.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="of a Dask cluster")
+    grid.add_argument("--id", default="19", help="configuration to search on")
+    grid.add_argument("--images", type=int, default=2000, help="images to take of the set")
+    return parser.parse_args(arguments)
+
+
+def main():
+    """Run the command line."""
+    arguments = parse_arguments()
+    try:
+        configurations = read_configurations(arguments.configurations)
+        COMMANDS[arguments.command](arguments, configurations)
+    except (OSError, ValueError) as error:
+        sys.exit(f"error: {error}")
+
+
+def _run(arguments, configurations):
+    if (arguments.video is None) != (arguments.truth is None):
+        raise ValueError("--video and --truth belong together")
+    dataset = load_dataset(arguments.data)
+    rest = dataset, arguments.video, arguments.truth, arguments.frames
+    with workers(arguments.scheduler, arguments.jobs, [dataset]):
+        run_all(configurations, arguments.results, run_configuration, rest)
+
+
+def _grid(arguments, configurations):
+    (configuration,) = [c for c in configurations if c["id"] == arguments.id]
+    dataset = load_dataset(arguments.data)
+    search_grid(configuration, dataset, arguments.jobs, arguments.images)
+
+
+def _report(arguments, configurations):
+    results = read_results(arguments.results)
+    write_whole(arguments.results.with_suffix(".md"), markdown(configurations, results))
+    with written_whole(arguments.results.with_suffix(".png")) as partial:
+        draw_report(configurations, results).savefig(partial, dpi=90)
+    judged = [row for row in results.values() if row["false_positives_per_frame"]]
+    alarms = [float(row["false_positives_per_frame"]) for row in judged]
+    for column in ("accuracy", "honest_accuracy", "honest_auc"):
+        values = [float(row[column]) for row in judged]
+        rank = spearmanr(values, alarms).statistic
+        print(f"rank correlation of {column} with false positives a frame: {rank:.2f}")
+
+
+COMMANDS = {"run": _run, "grid": _grid, "report": _report}
+
+
+if __name__ == "__main__":
+    main()
