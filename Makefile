@@ -1,6 +1,7 @@
 # make            environment, rendered sample, training, notebooks, videos: all into output/
 # make test       the tests
 # make video VIDEO=path/to/drive.mp4
+# make evaluate   the boxes of the sample's video against the truth, and of the real one if there
 # make train DATA=path/to/folder   with vehicles/ and non-vehicles/ in it
 # make clean      removes the environment and output/
 
@@ -9,8 +10,9 @@ BIN := .venv/bin
 SAMPLE := output/sample
 PARAM ?= param/svc_pickle.p
 PRESET ?= G
+REAL := ../shared
 
-.PHONY: all notebooks test lint video train clean
+.PHONY: all notebooks test test-dask lint video train evaluate clean
 .DELETE_ON_ERROR:
 
 all: notebooks
@@ -43,6 +45,10 @@ notebooks: output/svc_pickle.p output/calib.p
 test: .venv/installed
 	$(BIN)/python -m pytest
 
+test-dask: .venv/installed
+	$(BIN)/pip install --quiet --disable-pip-version-check -r requirements-dask.txt
+	$(BIN)/python -m pytest tests/test_experiments.py
+
 lint: .venv/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -55,6 +61,19 @@ train: .venv/installed
 	@test -n "$(DATA)" || { echo 'error: which data? make train DATA=path/to/folder'; exit 1; }
 	$(BIN)/python train.py "$(DATA)/vehicles" "$(DATA)/non-vehicles" \
 		--preset $(PRESET) --out $(PARAM)
+
+evaluate: .venv/installed
+	@test -f output/drive.txt || { echo 'error: no boxes yet: run make first'; exit 1; }
+	$(BIN)/python evaluate.py $(SAMPLE)/videos/drive.gt.txt output/drive.txt \
+		--picture output/drive_evaluation.png
+	@if [ -f $(REAL)/truth/project_video.gt.txt ]; then \
+		$(BIN)/python detect.py $(REAL)/udacity/project_video.mp4 --out output --param $(PARAM) && \
+		for frames in 1:630 631:1260; do \
+			echo "project_video.mp4, frames $$frames"; \
+			$(BIN)/python evaluate.py $(REAL)/truth/project_video.gt.txt \
+				output/project_video.txt --frames $$frames || exit 1; \
+		done; \
+	else echo 'skipped: no real video in $(REAL)'; fi
 
 clean:
 	rm -rf .venv output

@@ -290,7 +290,7 @@ def markdown(configurations, results):
             continue
         hog = f"{c['hog_color']},{c['orientations']},{c['pix_per_cell']},{c['cells_per_block']}"
         what = f"{c['spatial_color'] or '-'} / {c['hist_color'] or '-'} / {hog}"
-        count = row["features"]
+        count = str(row["features"])
         if count != c["published_features"]:
             count += f" (published {c['published_features']}: cannot be)"
         lines.append(

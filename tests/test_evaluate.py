@@ -1,0 +1,136 @@
+"""Figures of evaluate.py against counting by hand and brute force."""
+
+import itertools
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from conftest import ROOT
+from evaluate import (
+    Rows,
+    evaluate,
+    forgive,
+    match,
+    pairwise_iou,
+    precision_recall,
+    read_rows,
+    rows_of,
+)
+
+
+def rows(*values):
+    """Rows from (frame, id, left, top, right, bottom, score)."""
+    values = np.array(values, float).reshape(-1, 7)
+    return Rows(values[:, 0].astype(int), values[:, 1].astype(int), values[:, 2:6], values[:, 6])
+
+
+TRUTH = rows(
+    (1, 1, 0, 0, 40, 40, 1), (2, 1, 0, 0, 40, 40, 1), (3, 1, 0, 0, 40, 40, 1),
+    (1, 2, 100, 0, 150, 50, 1), (2, 2, 100, 0, 150, 50, 1), (3, 2, 100, 0, 150, 50, 1),
+    (1, 101, 300, 0, 400, 100, 0), (2, 101, 300, 0, 400, 100, 0), (3, 101, 300, 0, 400, 100, 0),
+)  # fmt: skip
+
+
+def test_counts_by_hand():
+    detections = rows(
+        # Vehicle 1: exact, exact, missed. Vehicle 2: half of it, exact, exact.
+        (1, 7, 0, 0, 40, 40, 0.9), (2, 7, 0, 0, 40, 40, 0.9),
+        (1, 8, 100, 0, 150, 30, 0.8), (2, 8, 100, 0, 150, 50, 0.8), (3, 9, 100, 0, 150, 50, 0.8),
+        # In the ignore region by more than half; by less; nowhere near.
+        (1, 20, 290, 0, 330, 40, 0.5), (2, 21, 270, 0, 310, 40, 0.5), (3, 22, 600, 0, 640, 40, 0.5),
+    )  # fmt: skip
+    figures = evaluate(TRUTH, detections)
+    assert figures["recall"] == pytest.approx(5 / 6)
+    assert figures["precision"] == pytest.approx(5 / 7)
+    assert figures["false positives"] == 2 and figures["misses"] == 1
+    assert figures["false positives per frame"] == pytest.approx(2 / 3)
+    assert figures["mean IoU"] == pytest.approx((1 + 1 + 0.6 + 1 + 1) / 5)
+    assert figures["identity switches"] == 1
+    assert figures["MOTA"] == pytest.approx(1 - (1 + 2 + 1) / 6)
+    assert figures["recall by height"]["40-60 px"] == pytest.approx(5 / 6)
+    assert figures["frames to first box"] == {"1 from 1": 0, "2 from 1": 0}
+
+
+def test_without_identities_there_are_no_switches():
+    detections = rows((1, -1, 0, 0, 40, 40, 1), (2, -1, 0, 0, 40, 40, 1), (2, -1, 9, 90, 20, 99, 1))
+    figures = evaluate(TRUTH, detections)
+    assert figures["IDF1"] is None and figures["identity switches"] is None
+    assert figures["MOTA"] == pytest.approx(1 - (4 + 1) / 6)
+    assert figures["frames to first box"] == {"1 from 1": 0, "2 from 1": None}
+
+
+def test_required_vehicle_in_an_ignore_region_still_counts():
+    truth = rows((1, 1, 0, 0, 50, 50, 1), (1, 101, 0, 0, 200, 200, 0))
+    detections = rows((1, -1, 0, 0, 50, 50, 1), (1, -1, 100, 100, 150, 150, 1))
+    assert len(forgive(truth, detections).frames) == 1
+    assert evaluate(truth, detections)["precision"] == 1
+
+
+def test_frames_are_chosen():
+    figures = evaluate(TRUTH, rows_of([[], [(0, 0, 40, 40)], []]), range(2, 3))
+    assert figures["frames"] == 1 and figures["recall"] == 0.5 and figures["precision"] == 1
+
+
+boxes = st.lists(
+    st.tuples(*[st.integers(0, 30)] * 2, *[st.integers(1, 30)] * 2), min_size=0, max_size=4
+).map(lambda b: np.array([(x, y, x + w, y + h) for x, y, w, h in b], float).reshape(-1, 4))
+
+
+@settings(max_examples=80, deadline=None)
+@given(required=boxes, detected=boxes, threshold=st.floats(0.1, 0.9))
+def test_match_finds_as_many_pairs_as_there_can_be(required, detected, threshold):
+    iou = pairwise_iou(required, detected)
+    for i, a in enumerate(required.astype(int)):
+        for k, b in enumerate(detected.astype(int)):
+            first, second = np.zeros((2, 70, 70), bool)
+            first[a[1] : a[3], a[0] : a[2]] = second[b[1] : b[3], b[0] : b[2]] = True
+            assert iou[i, k] == pytest.approx((first & second).sum() / (first | second).sum())
+    found, partners = match(required, detected, threshold)
+    assert (iou[found, partners] >= threshold).all()
+    assert len(set(found)) == len(found) and len(set(partners)) == len(partners)
+    few, many = sorted((len(required), len(detected)))
+    table = iou if len(required) == few else iou.T
+    best = max(
+        sum(table[i, k] >= threshold for i, k in enumerate(order))
+        for order in itertools.permutations(range(many), few)
+    )
+    assert len(found) == best
+
+
+def test_precision_recall_follows_the_score():
+    detections = rows(
+        (1, -1, 0, 0, 40, 40, 0.9), (2, -1, 0, 0, 40, 40, 0.8), (3, -1, 500, 0, 540, 40, 0.1)
+    )
+    thresholds, precision, recall = precision_recall(TRUTH, detections)
+    assert (np.diff(thresholds) >= 0).all() and (np.diff(recall) <= 0).all()
+    assert precision[0] == pytest.approx(2 / 3) and recall[0] == pytest.approx(2 / 6)
+    assert precision[thresholds > 0.2][0] == 1
+
+
+def test_command_line(tmp_path):
+    truth, detections = tmp_path / "truth.txt", tmp_path / "boxes.txt"
+    truth.write_text("1,1,0,0,40,40,1,3,1\n2,1,0,0,40,40,1,3,1\n")
+    detections.write_text("1,-1,0,0,40,40,5.000,-1,-1,-1\n")
+    command = [sys.executable, "evaluate.py", truth, detections]
+    result = subprocess.run(
+        [*command, "--json", "--picture", tmp_path / "p.png"],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert json.loads(result.stdout)["recall"] == 0.5
+    assert (tmp_path / "p.png").stat().st_size > 1000
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert "mean IoU                    1.000" in result.stdout
+
+
+@pytest.mark.parametrize("text", ["1,1,0,0\n", "a,b,c,d,e,f,g\n", "1,1,0,0,4,4,1\n2,2\n"])
+def test_bad_rows_are_named(tmp_path, text):
+    (tmp_path / "boxes.txt").write_text(text)
+    with pytest.raises(ValueError, match=r"boxes\.txt: rows are to be"):
+        read_rows(tmp_path / "boxes.txt")
+    with pytest.raises(FileNotFoundError, match="no such file of boxes"):
+        read_rows(tmp_path / "gone.txt")
