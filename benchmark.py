@@ -8,12 +8,13 @@ in `tests/reference.py`.
 """
 
 import argparse
+import contextlib
 import json
 import subprocess
 import sys
 import tempfile
 import time
-from itertools import islice
+from itertools import cycle, islice
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -88,7 +89,7 @@ def resized_bands(frame, search):
 
 
 def stages(frames, paths):
-    """Milliseconds a frame of every stage, one after the other on one core."""
+    """Milliseconds a frame of every stage, one after the other."""
     vehicle = Vehicle(*paths)
     classifier, search = vehicle.classifier, vehicle.search
     params, frame = classifier.params, frames[0]
@@ -96,8 +97,8 @@ def stages(frames, paths):
     converted = [convert_color(band, params.hog_color) for band in bands]
     features = [dense_features(band, params, search.cells_per_step) for band in bands]
     rows = np.concatenate([block.reshape(-1, params.n_features) for block in features])
-    for frame in frames[:20]:
-        detections = vehicle.detect(frame)
+    for warm_up in [*frames[:20], frame]:
+        detections = vehicle.detect(warm_up)
     hog = params.orientations, params.pix_per_cell, params.cells_per_block
     calls = {
         "undistort": lambda: vehicle.undistort(frame),
@@ -122,7 +123,7 @@ def detector(frames, paths):
     for frame in frames[:15]:
         hot = vehicle.detect(frame).hot_windows
         slow.heatmaps.append(reference.heatmap_of(hot, frame.shape))
-    upcoming = iter(frames[15:] * 100)
+    upcoming = cycle(frames)
     times = alternately(
         {
             "detector": lambda: [vehicle.detect(next(upcoming)) for _ in range(20)],
@@ -162,6 +163,12 @@ def video_job(clip, paths, folder, preset="ultrafast"):
     }
 
 
+def quietly(function, *arguments):
+    """Call a function; what it prints goes where progress bars go."""
+    with contextlib.redirect_stdout(sys.stderr):
+        return function(*arguments)
+
+
 def reference_training(vehicles, others, params):
     """Train as published: one image after the other, scikit-image, one core."""
     features = []
@@ -180,7 +187,7 @@ def training(data):
     arguments = SimpleNamespace(jobs=-1, search=False, C=0.001, seed=0)
     times = alternately(
         {
-            "training": lambda: train(vehicles, others, params, arguments),
+            "training": lambda: quietly(train, vehicles, others, params, arguments),
             "reference": lambda: reference_training(vehicles, others, params),
         },
         rounds=1,
@@ -262,11 +269,16 @@ def draw_growth(figures):
 # --------------------------------------------------------------- command line
 
 
+def first_frames(video):
+    """Up to a hundred frames of a video."""
+    return list(islice(read_frames(video), 100))
+
+
 def measure(arguments, folder):
     """Every figure, as a dict of dicts."""
-    paths = arguments.calib, arguments.param
+    paths = arguments.calib.resolve(), arguments.param.resolve()
     info = video_info(arguments.video)
-    frames = list(islice(read_frames(arguments.video), 100))
+    frames = first_frames(arguments.video)
     clip = write_clip(folder / "clip.mp4", frames, info, arguments.frames)
     figures = {
         "milliseconds a frame, by stage": stages(frames, paths),
@@ -275,7 +287,6 @@ def measure(arguments, folder):
         "peak memory of the video job, MB": peak_memory(
             frames, info, paths, folder, (100, 400, 1260)
         ),
-        **{f"milliseconds by {k}": v for k, v in growth(frames, paths).items()},
     }
     if arguments.data:
         figures["training"] = training(arguments.data)
@@ -301,8 +312,10 @@ def main():
     try:
         with tempfile.TemporaryDirectory() as folder:
             figures = measure(arguments, Path(folder))
+            curves = growth(first_frames(arguments.video), (None, arguments.param))
     except (OSError, ValueError) as error:
         sys.exit(f"error: {error}")
+    figures |= {f"milliseconds by {name}": times for name, times in curves.items()}
     if arguments.json:
         print(json.dumps(figures, indent=1))
     else:
@@ -310,8 +323,6 @@ def main():
             print(title)
             for name, value in values.items():
                 print(f"  {name!s:28}{value:10.2f}")
-    curves = {k.removeprefix("milliseconds by "): v for k, v in figures.items() if " by " in k}
-    curves.pop("milliseconds a frame, by stage", None)
     with written_whole(arguments.out / "growth.png") as partial:
         draw_growth(curves).savefig(partial, dpi=90)
 

@@ -81,7 +81,7 @@ def find_corners(img, pattern):
 
 
 def calibrate(paths, pattern=(9, 6)):
-    """Calibration from the photos that show the whole board.
+    """Calibration from the photos that show the whole board, at the commonest size.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def calibrate(paths, pattern=(9, 6)):
     error : float
         Root mean square reprojection error in pixels.
     skipped : list of Path
-        Photos without the whole pattern.
+        Photos without the whole pattern, or of another size.
 
     Raises
     ------
@@ -105,21 +105,23 @@ def calibrate(paths, pattern=(9, 6)):
     columns, rows = pattern
     board = np.zeros((columns * rows, 3), np.float32)
     board[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
-    corners, sizes, skipped = [], Counter(), []
-    for path in tqdm(paths, desc="chessboards", unit="photo"):
-        img = read_image(path)
-        found = find_corners(img, pattern)
+    images = [read_image(path) for path in paths]
+    size = Counter(img.shape[1::-1] for img in images).most_common(1)[0][0]
+    corners, skipped = [], []
+    for path, img in zip(tqdm(paths, desc="chessboards", unit="photo"), images, strict=True):
+        found = None
+        # A row or column more changes nothing, another resolution would.
+        if np.abs(np.subtract(img.shape[1::-1], size)).max() <= 2:
+            found = find_corners(img, pattern)
         if found is None:
             skipped.append(path)
         else:
             corners.append(found)
-            sizes[img.shape[1::-1]] += 1
     if len(corners) < 3:
         raise ValueError(
             f"{paths[0].parent}: {len(corners)} photos show all {columns}x{rows} inner "
             "corners, at least 3 are needed"
         )
-    size = sizes.most_common(1)[0][0]
     error, mtx, dist, _, _ = cv2.calibrateCamera([board] * len(corners), corners, size, None, None)
     return Calibration(mtx, dist.reshape(1, -1), size), error, skipped
 
@@ -142,10 +144,23 @@ def load_calibration(path):
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such calibration: run calibrate.py to make it")
+    # Unpickling what is no such file can fail in any way whatever.
     try:
-        return Calibration(**pickle.loads(path.read_bytes()))
-    except (pickle.UnpicklingError, EOFError, AttributeError, TypeError) as error:
+        calibration = Calibration(**pickle.loads(path.read_bytes()))
+        shapes = np.shape(calibration.mtx), np.shape(calibration.dist), len(calibration.image_size)
+    except Exception as error:
         raise ValueError(f"{path}: not a calibration: run calibrate.py again") from error
+    if shapes != ((3, 3), (1, 5), 2):
+        raise ValueError(f"{path}: not a calibration: run calibrate.py again")
+    return calibration
+
+
+def corner_count(text):
+    """Number of inner corners from the command line; a board needs three a side."""
+    count = int(text)
+    if count < 3:
+        raise argparse.ArgumentTypeError("a board needs three inner corners a side")
+    return count
 
 
 def main():
@@ -156,7 +171,7 @@ def main():
         "--out", type=Path, default=Path("param/calib.p"), help="default: %(default)s"
     )
     parser.add_argument(
-        "--corners", type=int, nargs=2, default=(9, 6), metavar=("COLUMNS", "ROWS"),
+        "--corners", type=corner_count, nargs=2, default=(9, 6), metavar=("COLUMNS", "ROWS"),
         help="inner corners of the board, default: 9 6",
     )  # fmt: skip
     arguments = parser.parse_args()
@@ -166,12 +181,15 @@ def main():
     except (OSError, ValueError) as failure:
         sys.exit(f"error: {failure}")
     for path in skipped:
-        print(f"skipped, not all corners seen: {path}")
+        print(f"skipped, not all corners seen or of another size: {path}")
     mtx = calibration.mtx
     print(f"fx {mtx[0, 0]:.1f}  fy {mtx[1, 1]:.1f}  cx {mtx[0, 2]:.1f}  cy {mtx[1, 2]:.1f}")
     print("dist", *(f"{value:.4f}" for value in calibration.dist[0]))
     print(f"reprojection error {error:.3f} px over {len(paths) - len(skipped)} photos")
-    save_calibration(calibration, arguments.out)
+    try:
+        save_calibration(calibration, arguments.out)
+    except OSError as failure:
+        sys.exit(f"error: {failure}")
     print(f"wrote {arguments.out}")
 
 

@@ -93,22 +93,25 @@ def load_classifier(path):
     again = "run train.py to make it anew"
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such parameter file: {again}")
+    # Unpickling what is no such file can fail in any way whatever.
     try:
         content = pickle.loads(path.read_bytes())
-        version = content["format_version"]
-        if version == FORMAT_VERSION:
-            params = FeatureParams(**content["params"])
-    except (pickle.UnpicklingError, EOFError, AttributeError, KeyError, TypeError) as error:
+        version, made_with = content["format_version"], content["sklearn_version"]
+    except Exception as error:
         raise ValueError(f"{path}: not a parameter file of train.py: {again}") from error
     if version != FORMAT_VERSION:
         raise ValueError(f"{path}: format {version}, not {FORMAT_VERSION}: {again}")
-    if content["sklearn_version"] != sklearn.__version__:
+    if made_with != sklearn.__version__:
         raise ValueError(
-            f"{path}: made with scikit-learn {content['sklearn_version']}, "
+            f"{path}: made with scikit-learn {made_with}, "
             f"installed is {sklearn.__version__}: {again}"
         )
-    fitted = (content["scaler"].n_features_in_, content["svm"].n_features_in_)
-    lengths = {content["n_features"], params.n_features, *fitted}
+    try:
+        params = FeatureParams(**content["params"])
+        fitted = (content["scaler"].n_features_in_, content["svm"].n_features_in_)
+        lengths = {content["n_features"], params.n_features, *fitted}
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: not a parameter file of train.py: {again}") from error
     if len(lengths) > 1:
         raise ValueError(f"{path}: feature lengths {sorted(lengths)} do not agree: {again}")
     return Classifier(content["svm"], content["scaler"], params, content["data_counts"])

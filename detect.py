@@ -5,7 +5,7 @@ python detect.py INPUT... --out DIR
 
 import argparse
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from files import (
 )
 from pipeline_functions import SEARCH_PRESETS
 from vehicle import FILTER_PRESETS, Vehicle
-from video import read_frames, video_info, video_writer
+from video import ENCODER_PRESETS, read_frames, video_info, video_writer
 
 
 def mot_rows(frame_number, detections):
@@ -55,6 +55,15 @@ def write_rows(path, rows):
     write_whole(path, "".join(row + "\n" for row in rows))
 
 
+@contextmanager
+def naming(source):
+    """Put the file's name before what is wrong with a frame of it."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{source}: {error}") from error
+
+
 def annotate_image(source, folder, vehicle):
     """Detect in one image; write the annotated image and its boxes into a folder.
 
@@ -65,8 +74,10 @@ def annotate_image(source, folder, vehicle):
     """
     img = read_image(source)
     vehicle.reset()
-    detections = vehicle.detect(img)
-    write_image(folder / source.name, vehicle.draw(img, detections))
+    with naming(source):
+        detections = vehicle.detect(img)
+        picture = vehicle.draw(img, detections)
+    write_image(folder / source.name, picture)
     rows = mot_rows(1, detections)
     write_rows(folder / f"{source.stem}.txt", rows)
     return rows
@@ -104,10 +115,12 @@ def annotate_video(source, folder, vehicle, split_screen=False, preset="ultrafas
             outputs.append((write, vehicle.draw_split_screen))
         frames = tqdm(read_frames(source), source.name, info.n_frames, unit="frame")
         for frame_number, frame in enumerate(frames, start=1):
-            detections = vehicle.detect(frame)
+            with naming(source):
+                detections = vehicle.detect(frame)
+                pictures = [draw(frame, detections) for _, draw in outputs]
+            for (write, _), picture in zip(outputs, pictures, strict=True):
+                write(picture)
             rows += mot_rows(frame_number, detections)
-            for write, draw in outputs:
-                write(draw(frame, detections))
     write_rows(folder / f"{source.stem}.txt", rows)
     return rows
 
@@ -123,7 +136,7 @@ def gather_inputs(paths):
     ------
     FileNotFoundError, ValueError
         A path is missing, is a folder without images, or is neither image
-        nor video by its suffix; or two inputs would write the same output.
+        nor video by its suffix.
     """
     images, videos = [], []
     for path in paths:
@@ -137,12 +150,35 @@ def gather_inputs(paths):
             raise ValueError(f"{path}: neither an image nor a video that is known here")
         else:
             raise FileNotFoundError(f"{path}: no such file or folder")
-    stems = set()
-    for path in images + videos:
-        if path.stem in stems:
-            raise ValueError(f"{path}: another input would write {path.stem}.txt too")
-        stems.add(path.stem)
     return images, videos
+
+
+def require_free_names(images, videos, folder):
+    """Refuse inputs whose outputs would overwrite an input or each other.
+
+    Raises
+    ------
+    ValueError
+        Naming the input.
+    """
+    taken = {path.resolve() for path in images + videos}
+    for path in images + videos:
+        names = [path.name, f"{path.stem}.txt"]
+        if path in videos:
+            names = [f"{path.stem}.mp4", f"{path.stem}_split.mp4", f"{path.stem}.txt"]
+        for name in names:
+            output = (folder / name).resolve()
+            if output in taken:
+                raise ValueError(f"{path}: its output {folder / name} is taken: use another --out")
+            taken.add(output)
+
+
+def share(text):
+    """A number between 0 and 1 from the command line."""
+    value = float(text)
+    if not 0 < value < 1:
+        raise argparse.ArgumentTypeError("a share lies between 0 and 1")
+    return value
 
 
 def parse_arguments(arguments=None):
@@ -161,14 +197,17 @@ def parse_arguments(arguments=None):
         "--calib", type=Path, help="from calibrate.py; pictures are then drawn undistorted"
     )
     parser.add_argument(
-        "--filter", choices=("G", "B"), default="G", help="temporal filter of write-up G or B"
+        "--filter",
+        choices=("G", "B"),
+        default="G",
+        help="temporal filter of write-up G or B, for videos",
     )
     parser.add_argument(
         "--search", choices=SEARCH_PRESETS, default="G", help="scales and bands of write-up G or B"
     )
     parser.add_argument(
         "--horizon",
-        type=float,
+        type=share,
         metavar="SHARE",
         help="where the road vanishes, as a share of the picture's height (0.57, say): visit "
         "only windows that could frame a vehicle on the road",
@@ -181,9 +220,14 @@ def parse_arguments(arguments=None):
         help="visit all windows in every Nth frame, in others only those near known vehicles",
     )
     parser.add_argument(
-        "--split-screen", action="store_true", help="also a video of every step of the detector"
+        "--split-screen", action="store_true", help="of videos, also one of every step"
     )
-    parser.add_argument("--preset", default="ultrafast", help="of the video encoder, libx264")
+    parser.add_argument(
+        "--preset",
+        choices=ENCODER_PRESETS,
+        default="ultrafast",
+        help="of the video encoder: a larger file or a longer wait",
+    )
     return parser.parse_args(arguments)
 
 
@@ -201,6 +245,7 @@ def main():
     arguments = parse_arguments()
     try:
         images, videos = gather_inputs(arguments.inputs)
+        require_free_names(images, videos, arguments.out)
         paths = arguments.calib, arguments.param
         if images:
             still = Vehicle(*paths, chosen_search(arguments), FILTER_PRESETS["still"])

@@ -18,6 +18,8 @@ import motmetrics
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from files import written_whole
+
 HEIGHT_EDGES = (30, 40, 60, 100, np.inf)
 # A vehicle that comes back after this many frames has to be found anew.
 _NEW_ENTRY_GAP = 25
@@ -45,6 +47,16 @@ class Rows:
         """The rows that a mask or index array picks."""
         return Rows(self.frames[chosen], self.ids[chosen], self.boxes[chosen], self.scores[chosen])
 
+    def within(self, frames):
+        """The rows of a range of frames."""
+        return self.only((self.frames >= frames.start) & (self.frames < frames.stop))
+
+
+def all_frames(truth, detections):
+    """Range from 1 to the last frame of both, one frame at least."""
+    last = max(truth.frames.max(initial=1), detections.frames.max(initial=1))
+    return range(1, int(last) + 1)
+
 
 def read_rows(path):
     """Read a MOTChallenge file.
@@ -61,6 +73,8 @@ def read_rows(path):
     try:
         values = np.array([[float(v) for v in line.split(",")[:7]] for line in lines])
         values = values.reshape(-1, 7)
+        if not np.isfinite(values).all():
+            raise ValueError("not a finite number")
     except ValueError as error:
         raise ValueError(f"{path}: rows are to be frame,id,left,top,width,height,score") from error
     boxes = np.hstack([values[:, 2:4], values[:, 2:4] + values[:, 4:6]])
@@ -181,7 +195,7 @@ def evaluate(truth, detections, frames=None, iou_threshold=0.5):
     ----------
     truth, detections : Rows
     frames : range, optional
-        All frames of the truth by default.
+        From 1 to the last of both by default.
     iou_threshold : float
 
     Returns
@@ -192,26 +206,23 @@ def evaluate(truth, detections, frames=None, iou_threshold=0.5):
         fragmentations are None where detections carry no identity, and MOTA
         then counts misses and false positives only.
     """
-    if frames is None:
-        frames = range(int(truth.frames.min()), int(truth.frames.max()) + 1)
-    truth, detections = (
-        rows.only((rows.frames >= frames.start) & (rows.frames < frames.stop))
-        for rows in (truth, detections)
-    )
+    frames = frames or all_frames(truth, detections)
+    truth, detections = truth.within(frames), detections.within(frames)
     required = truth.only(truth.scores == 1)
     counted = forgive(truth, detections, iou_threshold)
     accumulator = accumulate(required, counted, frames, iou_threshold)
     summary = motmetrics.metrics.create().compute(accumulator, metrics=list(_METRICS), name="all")
     figures = {name: summary.loc["all", metric] for metric, name in _METRICS.items()}
     figures = {
-        name: int(value) if isinstance(value, np.integer) else float(value)
+        name: int(value) if isinstance(value, np.integer) else _number_or_none(value)
         for name, value in figures.items()
     }
     figures["frames"] = len(frames)
     figures["required boxes"] = len(required.frames)
     figures["false positives per frame"] = figures["false positives"] / len(frames)
-    figures["mean IoU"] = 1 - figures.pop("mean distance")
-    if len(detections.ids) and (detections.ids < 0).all():
+    distance = figures.pop("mean distance")
+    figures["mean IoU"] = None if distance is None else 1 - distance
+    if (detections.ids < 0).all():
         figures |= dict.fromkeys(("IDF1", "identity switches", "fragmentations"))
         errors = figures["misses"] + figures["false positives"]
         figures["MOTA"] = 1 - errors / max(1, len(required.frames))
@@ -219,6 +230,11 @@ def evaluate(truth, detections, frames=None, iou_threshold=0.5):
     figures["recall by height"] = _recall_by_height(required, found)
     figures["frames to first box"] = _entry_delays(required, found)
     return figures
+
+
+def _number_or_none(value):
+    """A float, None for what has no value."""
+    return None if np.isnan(value) else float(value)
 
 
 def _found(accumulator, required):
@@ -271,7 +287,7 @@ def table(figures):
 
 
 def _number(value):
-    if value is None or (isinstance(value, float) and np.isnan(value)):
+    if value is None:
         return "-"
     return str(value) if isinstance(value, int) else f"{value:.3f}"
 
@@ -284,6 +300,8 @@ def precision_recall(truth, detections, iou_threshold=0.5, steps=40):
     thresholds, precision, recall : ndarray of float, shape (steps,)
     """
     required = truth.only(truth.scores == 1)
+    if not len(detections.scores):
+        return np.zeros((3, 0))
     thresholds = np.quantile(detections.scores, np.linspace(0, 0.99, steps))
     curve = []
     for threshold in thresholds:
@@ -293,13 +311,15 @@ def precision_recall(truth, detections, iou_threshold=0.5, steps=40):
                       kept.boxes[kept.frames == frame], iou_threshold)[0])
             for frame in np.unique(kept.frames)
         )  # fmt: skip
-        curve.append((n_matched / max(1, len(kept.frames)), n_matched / len(required.frames)))
+        curve.append(
+            (n_matched / max(1, len(kept.frames)), n_matched / max(1, len(required.frames)))
+        )
     precision, recall = np.array(curve).T
     return thresholds, precision, recall
 
 
-def draw_evaluation(truth, detections, iou_threshold=0.5):
-    """Figure with the precision-recall curve and a timeline of errors.
+def draw_evaluation(truth, detections, frames, iou_threshold=0.5):
+    """Figure with the precision-recall curve and a timeline of errors over a range of frames.
 
     Returns
     -------
@@ -308,10 +328,10 @@ def draw_evaluation(truth, detections, iou_threshold=0.5):
     figure, (curve, timeline) = plt.subplots(
         2, 1, figsize=(10, 7), height_ratios=(2, 1), layout="constrained"
     )
+    truth, detections = truth.within(frames), detections.within(frames)
     _, precision, recall = precision_recall(truth, detections, iou_threshold)
     curve.plot(recall, precision, marker=".")
     curve.set(xlabel="recall", ylabel="precision", xlim=(0, 1.02), ylim=(0, 1.02))
-    frames = range(int(truth.frames.min()), int(truth.frames.max()) + 1)
     required, counted = truth.only(truth.scores == 1), forgive(truth, detections, iou_threshold)
     misses, alarms = [], []
     for frame in frames:
@@ -332,6 +352,8 @@ def draw_evaluation(truth, detections, iou_threshold=0.5):
 def parse_frames(text):
     """A:B, both included, to a range."""
     first, last = (int(part) for part in text.split(":"))
+    if not 1 <= first <= last:
+        raise argparse.ArgumentTypeError("frames are A:B, from 1, both included")
     return range(first, last + 1)
 
 
@@ -347,12 +369,15 @@ def main():
     arguments = parser.parse_args()
     try:
         truth, detections = read_rows(arguments.truth), read_rows(arguments.detections)
+        frames = arguments.frames or all_frames(truth, detections)
+        figures = evaluate(truth, detections, frames, arguments.iou)
+        print(json.dumps(figures, indent=1) if arguments.json else table(figures))
+        if arguments.picture:
+            figure = draw_evaluation(truth, detections, frames, arguments.iou)
+            with written_whole(arguments.picture) as partial:
+                figure.savefig(partial, dpi=90)
     except (OSError, ValueError) as error:
         sys.exit(f"error: {error}")
-    figures = evaluate(truth, detections, arguments.frames, arguments.iou)
-    print(json.dumps(figures, indent=1) if arguments.json else table(figures))
-    if arguments.picture:
-        draw_evaluation(truth, detections, arguments.iou).savefig(arguments.picture, dpi=90)
 
 
 if __name__ == "__main__":

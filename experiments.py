@@ -11,6 +11,7 @@ at a time as there are cores or workers, and resumes where it was stopped.
 import argparse
 import contextlib
 import csv
+import hashlib
 import io
 import re
 import sys
@@ -43,7 +44,9 @@ _PIXELS_PER_STEP = 16
 # Long enough that neighbours which show the same car mostly share one.
 _RUN_LENGTH = 100
 _COLUMNS = (
-    "id", "features", "accuracy", "accuracy_spread", "honest_accuracy", "honest_auc",
+    "id",
+    "settings",
+    "features", "accuracy", "accuracy_spread", "honest_accuracy", "honest_auc",
     "fit_seconds", "recall", "precision", "false_positives_per_frame",
 )  # fmt: skip
 
@@ -83,7 +86,10 @@ def load_dataset(folder):
         found = sorted(find_images(folder / name), key=numbers_in)
         paths += found
         labels += [label] * len(found)
-    images = np.stack([read_window(path, 64)[0] for path in tqdm(paths, "images", unit="image")])
+    windows = [read_window(path, 64) for path in tqdm(paths, "images", unit="image")]
+    if n_resized := sum(resized for _, resized in windows):
+        print(f"resized to 64x64: {n_resized} images")
+    images = np.stack([img for img, _ in windows])
     folders = [str(path.parent) for path in paths]
     _, sources = np.unique(folders, return_inverse=True)
     return Dataset(images, np.array(labels), sources)
@@ -159,31 +165,39 @@ def run_configuration(configuration, dataset, video, truth, frames):
     params, C = feature_params(configuration), float(configuration["C"])
     features = np.stack([extract_features(img, params) for img in dataset.images])
     indices = np.arange(len(features))
-    accuracies, classifiers = [], []
-    start = time.perf_counter()
+    accuracies, classifiers, seconds = [], [], []
     for seed in SEEDS:
         chosen, test = train_test_split(indices, test_size=_HELD_OUT, random_state=seed)
+        start = time.perf_counter()
         classifier = fitted(features[chosen], dataset.labels[chosen], params, C, seed)
+        seconds.append(time.perf_counter() - start)
         predicted = classifier.decision_function(features[test]) > 0
         accuracies.append(np.mean(predicted == dataset.labels[test]))
         classifiers.append(classifier)
-    fit_seconds = (time.perf_counter() - start) / len(SEEDS)
 
     held_out = honest_split(dataset.sources)
     honest = fitted(features[~held_out], dataset.labels[~held_out], params, C, SEEDS[0])
     scores = honest.decision_function(features[held_out])
     row = {
         "id": configuration["id"],
+        "settings": settings(configuration, dataset, video, frames),
         "features": params.n_features,
         "accuracy": f"{np.mean(accuracies):.4f}",
         "accuracy_spread": f"{np.ptp(accuracies):.4f}",
         "honest_accuracy": f"{np.mean((scores > 0) == dataset.labels[held_out]):.4f}",
         "honest_auc": f"{roc_auc_score(dataset.labels[held_out], scores):.5f}",
-        "fit_seconds": f"{fit_seconds:.1f}",
+        "fit_seconds": f"{np.median(seconds):.1f}",
     }
     if video is not None:
         row |= judge_detector(classifiers[0], video, truth, frames)
     return row
+
+
+def settings(configuration, dataset, video, frames):
+    """Short text that changes with whatever the figures depend on."""
+    numbers = *configuration.values(), SEEDS, len(dataset.labels), dataset.labels.sum()
+    judged = (Path(video).name, frames) if video else ()
+    return hashlib.sha1(repr((numbers, judged)).encode()).hexdigest()[:8]
 
 
 def fitted(features, labels, params, C, seed):
@@ -245,13 +259,16 @@ def workers(scheduler, jobs, large):
         with parallel_config(n_jobs=jobs):
             yield
         return
-    from distributed import Client
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise ValueError("--scheduler needs: pip install -r requirements-dask.txt") from error
 
     with Client(scheduler), parallel_config(backend="dask", scatter=large):
         yield
 
 
-def run_all(configurations, results_path, task, arguments):
+def run_all(configurations, results_path, task, arguments, wanted_settings):
     """Run the configurations that have no result yet; every result is kept at once.
 
     Parameters
@@ -261,9 +278,14 @@ def run_all(configurations, results_path, task, arguments):
     task : callable
         Takes a configuration and `arguments`, returns a row.
     arguments : tuple
+    wanted_settings : callable
+        Takes a configuration, returns the `settings` a finished row must have.
     """
     results = read_results(results_path)
-    missing = [c for c in configurations if c["id"] not in results]
+    missing = [
+        c for c in configurations
+        if results.get(c["id"], {}).get("settings") != wanted_settings(c)
+    ]  # fmt: skip
     rows = Parallel(return_as="generator_unordered", pre_dispatch="all", batch_size=1)(
         delayed(task)(configuration, *arguments) for configuration in missing
     )
@@ -281,8 +303,8 @@ def markdown(configurations, results):
     """The table of all configurations as Markdown."""
     lines = [
         "| ID | spatial / histogram / HOG | C | features | published | random split (spread) | "
-        "honest split | AUC | fit, s | recall | precision | false positives a frame |",
-        "|" + "---|" * 12,
+        "difference | honest split | AUC | fit, s | recall | precision | false positives a frame |",
+        "|" + "---|" * 13,
     ]
     for c in configurations:
         row = results.get(c["id"])
@@ -293,9 +315,11 @@ def markdown(configurations, results):
         count = str(row["features"])
         if count != c["published_features"]:
             count += f" (published {c['published_features']}: cannot be)"
+        difference = f"{float(row['accuracy']) - float(c['published_accuracy']):+.4f}"
         lines.append(
             f"| {c['id']} | {what} | {c['C']} | {count} | {c['published_accuracy']} | "
-            f"{row['accuracy']} ({row['accuracy_spread']}) | {row['honest_accuracy']} | "
+            f"{row['accuracy']} ({row['accuracy_spread']}) | {difference} | "
+            f"{row['honest_accuracy']} | "
             f"{row['honest_auc']} | {row['fit_seconds']} | {row['recall']} | "
             f"{row['precision']} | {row['false_positives_per_frame']} |"
         )
@@ -366,7 +390,12 @@ def parse_arguments(arguments=None):
     run.add_argument("--video", type=Path, help="to judge the detector on")
     run.add_argument("--truth", type=Path, help="true boxes of the video")
     run.add_argument("--frames", type=int, default=630, help="of the video, from the first")
-    run.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="of a Dask cluster")
+    run.add_argument(
+        "--scheduler",
+        metavar="tcp://HOST:PORT",
+        help="of a Dask cluster whose workers "
+        "run in a clone of this project and see video and truth at the same place",
+    )
     grid.add_argument("--id", default="19", help="configuration to search on")
     grid.add_argument("--images", type=int, default=2000, help="images to take of the set")
     return parser.parse_args(arguments)
@@ -388,17 +417,27 @@ def _run(arguments, configurations):
     dataset = load_dataset(arguments.data)
     rest = dataset, arguments.video, arguments.truth, arguments.frames
     with workers(arguments.scheduler, arguments.jobs, [dataset]):
-        run_all(configurations, arguments.results, run_configuration, rest)
+        run_all(
+            configurations,
+            arguments.results,
+            run_configuration,
+            rest,
+            lambda c: settings(c, dataset, arguments.video, arguments.frames),
+        )
 
 
 def _grid(arguments, configurations):
-    (configuration,) = [c for c in configurations if c["id"] == arguments.id]
+    by_id = {c["id"]: c for c in configurations}
+    if arguments.id not in by_id:
+        raise ValueError(f"{arguments.configurations}: no configuration {arguments.id}")
     dataset = load_dataset(arguments.data)
-    search_grid(configuration, dataset, arguments.jobs, arguments.images)
+    search_grid(by_id[arguments.id], dataset, arguments.jobs, arguments.images)
 
 
 def _report(arguments, configurations):
     results = read_results(arguments.results)
+    if not results:
+        raise ValueError(f"{arguments.results}: no results yet: use run first")
     write_whole(arguments.results.with_suffix(".md"), markdown(configurations, results))
     with written_whole(arguments.results.with_suffix(".png")) as partial:
         draw_report(configurations, results).savefig(partial, dpi=90)

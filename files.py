@@ -55,8 +55,13 @@ def read_image(path):
 
 
 def _ends_as_jpeg(content):
-    """Whether the end-of-image marker is there: decoders invent what is missing."""
-    return b"\xff\xd9" in content[-64:].tobytes()
+    """Whether the end-of-image marker is there: decoders invent what is missing.
+
+    It is looked for behind the last start of scan, for a thumbnail has an end
+    of its own, and a camera may write more behind the picture's.
+    """
+    whole = content.tobytes()
+    return b"\xff\xd9" in whole[whole.rfind(b"\xff\xda") :]
 
 
 def write_image(path, img):

@@ -81,6 +81,8 @@ class FeatureParams:
         for color in groups:
             if color is not None:
                 _require_color(color)
+        if min(self.spatial_size, self.pix_per_cell, self.window_size) < 1:
+            raise ValueError("spatial_size, pix_per_cell and window_size start at 1")
         if self.spatial_color and self.window_size % self.spatial_size:
             raise ValueError(
                 f"spatial_size {self.spatial_size} does not divide "
@@ -163,6 +165,7 @@ class SearchParams:
     reference_size: tuple = (1280, 720)
 
     def __post_init__(self):
+        object.__setattr__(self, "bands", tuple(map(tuple, self.bands)))
         if not self.bands:
             raise ValueError("a search needs at least one band of (scale, top, bottom)")
         for scale, top, bottom in self.bands:

@@ -17,6 +17,9 @@ from numba import njit
 LANE_WIDTH = 3.7
 _CAMERA_HEIGHT = 1.35
 _FAR = 420.0
+_HAZE = np.float32((0.7, 0.76, 0.82))
+# How far the horizon lies below the optical centre, in pixels.
+_HORIZON_BELOW_CENTER = (0, 32)
 
 # -------------------------------------------------------------------- camera
 
@@ -194,12 +197,17 @@ BODIES = {
 }  # fmt: skip
 
 
+def _floor(body):
+    """Height of the lower edge of the body, in metres."""
+    return 0.24 if body.height < 3 else 0.75
+
+
 def _cross_section(body, z, top):
     """Half outline at a share z of the length: from the floor up to the middle of the roof."""
     half = 0.5 * body.width * (1 - 0.09 * (1 - z / 0.12) ** 2 * (z < 0.12))
     half *= 1 - 0.14 * max(0, (z - 0.86) / 0.14) ** 2
     height = body.height
-    floor = 0.24 if body.height < 3 else 0.75
+    floor = _floor(body)
     belt = min(body.belt, top) * height
     top = top * height
     lean = 0.16 * half if body.height < 2 else 0.05 * half
@@ -391,6 +399,10 @@ class World:
         Stretches of the road, in metres, under the shadows of trees.
     pavement : tuple of (start, gray)
         Where a new surface begins, and how light it is.
+    grass : tuple of float
+        RGB of the verge.
+    left_wall : bool
+        A concrete wall in the middle, else a guardrail.
     actors : tuple of Actor
     camera : Camera
     """
@@ -460,7 +472,20 @@ def _path(curve, s0, z):
 
 @dataclass(frozen=True)
 class View:
-    """The ideal camera of one frame: where the road lies in the picture."""
+    """The ideal camera of one frame: where the road lies in the picture.
+
+    Attributes
+    ----------
+    world : World
+    s0 : float
+        Place of the camera along the road, in metres.
+    size, center : ndarray, shape (2,)
+        Of the ideal picture, in pixels: width and height, optical axis.
+    lateral : float
+        Place of the camera across the road, in metres.
+    shake : ndarray of float, shape (2,)
+        How far the picture is shaken off its place, in pixels.
+    """
 
     world: World
     s0: float
@@ -477,8 +502,7 @@ class View:
         shake = rng.normal(size=2) * 0.35 + (0, 1.2 * np.sin(7 * time) + 0.8 * np.sin(11.3 * time))
         lateral = (world.own_lane + 0.5 - world.n_lanes / 2) * LANE_WIDTH
         lateral += 0.25 * np.sin(0.3 * time)
-        # The horizon lies a little below the optical centre.
-        center = np.array(world.camera.center) - origin + shake + (0, 32)
+        center = np.array(world.camera.center) - origin + shake + _HORIZON_BELOW_CENTER
         return cls(world, world.speed * time, size, center, lateral, shake)
 
     def camera_points(self, x, y, z):
@@ -495,7 +519,7 @@ class View:
     def distorted(self, x, y, z):
         """Road coordinates to pixels of the frame as the camera gives it."""
         points = self.camera_points(x, y, z)
-        down = (self.shake + (0, 32)) / self.world.camera.focal
+        down = (self.shake + _HORIZON_BELOW_CENTER) / self.world.camera.focal
         points[..., :2] += points[..., 2:] * down
         return self.world.camera.project(points)
 
@@ -530,11 +554,12 @@ def _dashes(s, length, period, footprint):
     return (covered(s + footprint / 2) - covered(s - footprint / 2)) / footprint
 
 
-def _draw_ground(view, picture):
-    """Road, markings, kerb, verge and the shadows of trees on all of it."""
+def _draw_ground(view, picture, distance, first):
+    """Road, markings, kerb, verge and the shadows of trees on all of it.
+
+    `distance` is that of `_visible_ground`, `first` the first row it is finite in.
+    """
     world = view.world
-    distance = _visible_ground(view)
-    first = int(np.argmax(np.isfinite(distance)))
     z = distance[first:, None]
     footprint_z = np.abs(np.gradient(distance[first:]))[:, None] + 1e-3
     footprint_x = z / world.camera.focal
@@ -573,7 +598,6 @@ def _draw_ground(view, picture):
     color = _blend(color, (0.12, 0.12, 0.12), _stripes(x, edge + 2.36, 0.07, footprint_x))
 
     picture[first:] = color * (1 - 0.58 * _tree_shadow(world, x, s))[..., None]
-    return distance
 
 
 def _blend(color, other, share):
@@ -667,7 +691,7 @@ def _tree_sprites(seed, count=6, size=256):
 
 
 def _roadside_things(view):
-    """Trees, lamp posts and signs as (distance, drawing function), far ones last."""
+    """Trees, lamp posts and signs as (distance, drawing function, its arguments)."""
     world = view.world
     edge = world.n_lanes * LANE_WIDTH / 2
     things = []
@@ -719,7 +743,7 @@ def _paste(picture, sprite, matrix, haze):
     shifted = matrix - [[0, 0, left], [0, 0, top]]
     placed = cv2.warpAffine(sprite, shifted, (right - left, bottom - top))
     region = picture[top:bottom, left:right]
-    color = placed[..., :3] + haze * (np.float32((0.7, 0.76, 0.82)) - placed[..., :3])
+    color = placed[..., :3] + haze * (_HAZE - placed[..., :3])
     picture[top:bottom, left:right] = region + placed[..., 3:] * (color - region)
 
 
@@ -800,12 +824,14 @@ def _draw_strip(view, picture, x, z, heights, color):
 
 
 @njit(cache=True, nogil=True)
-def _rasterise(screen, inverse_depth, attributes, materials, depth, surface, material):
+def _rasterise(screen, inverse_depth, attributes, materials, canvas):
     """Nearest triangle of every pixel, attributes interpolated in perspective.
 
     screen (n, 3, 2), inverse_depth (n, 3), attributes (n, 3, 6), materials
-    (n,); depth (rows, columns) starts at 0 and keeps the largest inverse.
+    (n,); canvas is depth (rows, columns), which starts at 0 and keeps the
+    largest inverse, surface (rows, columns, 6) and material (rows, columns).
     """
+    depth, surface, material = canvas
     rows, columns = depth.shape
     for t in range(screen.shape[0]):
         ax, ay = screen[t, 0]
@@ -879,31 +905,46 @@ def _draw_actor(view, picture, actor, time):
     right, bottom = np.minimum(np.ceil(pixels.max(axis=0)) + 1, view.size).astype(int)
     if right - left < 2 or bottom - top < 2:
         return None, None
-    fineness = 1 + sum(bottom - top < height for height in (170, 90, 40))
-    shape = ((bottom - top) * fineness, (right - left) * fineness)
-    depth = np.zeros(shape)
-    surface = np.zeros((*shape, 6), np.float32)
-    material = np.full(shape, -1)
-    _rasterise(
-        ((pixels - (left, top)) * fineness).reshape(-1, 3, 2), 1 / z.reshape(-1, 3),
-        np.concatenate([own, facing], axis=2), materials, depth, surface, material,
-    )  # fmt: skip
-    hit = material >= 0
-    if not hit.any():
+    mesh = placed, facing, own, materials
+    sprite = _actor_sprite(view, actor, mesh, pixels, (left, top, right, bottom))
+    if not sprite[..., 3].any():
         return None, None
-    middle = placed.reshape(-1, 3).mean(axis=0) - (view.lateral, _CAMERA_HEIGHT, 0)
-    middle = middle.astype(np.float32)
-    color = np.zeros((*shape, 4), np.float32)
-    color[hit, :3] = _shade(view.world, actor, material[hit], surface[hit], middle)
-    color[hit, 3] = 1
-    small = cv2.resize(color, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
-    alpha = small[..., 3:]
-    haze = view.world.haze * min(1, middle[2] / 600)
-    rgb = small[..., :3] * (1 - haze) + alpha * haze * np.array((0.7, 0.76, 0.82))
+    alpha = sprite[..., 3:]
+    haze = view.world.haze * min(1, z.mean() / 600)
+    rgb = sprite[..., :3] * (1 - haze) + alpha * haze * _HAZE
     region = picture[top:bottom, left:right]
     picture[top:bottom, left:right] = region * (1 - alpha) + rgb
     outline = view.distorted(x, y, z)
     return (left, top, alpha[..., 0]), np.concatenate([outline.min(axis=0), outline.max(axis=0)])
+
+
+def _actor_sprite(view, actor, mesh, pixels, place):
+    """Shaded picture of a vehicle, RGB times alpha and alpha, float32, as large as its place.
+
+    `mesh` is that of `_actor_mesh`, `pixels` where its corners lie, and `place`
+    the box (left, top, right, bottom) of the picture that is drawn.
+    """
+    placed, facing, own, materials = mesh
+    left, top, right, bottom = place
+    # Small vehicles are drawn larger and shrunk, or they would flicker.
+    fineness = 1 + sum(bottom - top < height for height in (170, 90, 40))
+    shape = ((bottom - top) * fineness, (right - left) * fineness)
+    surface, material = np.zeros((*shape, 6), np.float32), np.full(shape, -1)
+    _rasterise(
+        ((pixels - (left, top)) * fineness).reshape(-1, 3, 2),
+        1 / placed[..., 2],
+        np.concatenate([own, facing], axis=2),
+        materials,
+        (np.zeros(shape), surface, material),
+    )
+    hit = material >= 0
+    sprite = np.zeros((*shape, 4), np.float32)
+    if hit.any():
+        middle = placed.reshape(-1, 3).mean(axis=0) - (view.lateral, _CAMERA_HEIGHT, 0)
+        middle = middle.astype(np.float32)
+        sprite[hit, :3] = _shade(view.world, actor, material[hit], surface[hit], middle)
+        sprite[hit, 3] = 1
+    return cv2.resize(sprite, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
 
 
 def _environment(direction):
@@ -935,61 +976,86 @@ def _shade(world, actor, material, surface, direction):
 
 def _surface_colors(actor, material, own, normal):
     """Base colour (n, 3) and mirror share (n,) of points on a vehicle, details painted on."""
-    body = BODIES[actor.kind]
-    rng = np.random.default_rng([actor.style, 5])
-    x, y, z = np.abs(own[:, 0]), own[:, 1], own[:, 2]
-    half, height = body.width / 2, body.height
     base = np.array(
         [actor.paint, (0.035, 0.04, 0.045), (0.035, 0.035, 0.04), (0.03, 0.03, 0.03),
          actor.paint], np.float32
     )[material]  # fmt: skip
     gloss = np.float32([0.09, 0.16, 0.0, 0.0, 0.03])[material]
-    paint = material == PAINT
-    solid = paint | (material == BOX)
-
-    def put(where, color, shine=0.0):
-        base[where] = color
-        gloss[where] = shine
-
-    floor = 0.24 if height < 3 else 0.75
-    if height < 3:
-        trim = rng.choice([0.0, 0.05, 0.13])
-        put(paint & (y < floor + 0.06 + trim * (z < 0.25)), (0.09, 0.09, 0.10), 0.02)
-        put(paint & (np.abs(y - body.plate * height * 0.86) < 0.007) & (z < 0.2), (0.05,) * 3)
-        seams = np.array([0.36, 0.56, 0.74]) * body.length
-        beside = np.abs(normal[:, 0]) > 0.5
-        close = np.abs(z[:, None] - seams).min(axis=1) < 0.011
-        put(paint & beside & close & (y > floor + 0.1), (0.06,) * 3)
-        handle = (np.abs(z[:, None] - seams[:2] - 0.12).min(axis=1) < 0.09) & beside
-        put(paint & handle & (np.abs(y - 0.60 * height) < 0.018), (0.12,) * 3, 0.1)
-    inner, low, high = body.lights
-    inner += rng.uniform(-0.06, 0.06)
-    lamp = (x > inner * half) & (y > low * height) & (y < high * height)
-    put(solid & lamp & (z < 0.22), (0.62, 0.035, 0.045), 0.10)
-    clear = lamp & (y < (low + 0.3 * (high - low)) * height) & (x < (inner + 0.18) * half)
-    put(solid & clear & (z < 0.22), (0.75, 0.70, 0.66), 0.10)
-    front = z > 0.93 * body.length
-    put(paint & front & (x > 0.55 * half) & (y > 0.38 * height) & (y < 0.52 * height),
-        (0.85, 0.87, 0.9), 0.2)  # fmt: skip
-    put(paint & front & (x < 0.5 * half) & (y > 0.25 * height) & (y < 0.46 * height),
-        (0.06, 0.06, 0.07), 0.05)  # fmt: skip
-    plate = (x < 0.26) & (np.abs(y - body.plate * height) < 0.06) & (z < 0.3)
-    put(solid & plate, rng.choice([(0.86, 0.86, 0.84), (0.83, 0.74, 0.30)]))
-    text = plate & (x < 0.21) & (np.abs(y - body.plate * height) < 0.033)
-    put(solid & text & (np.floor(own[:, 0] / 0.035) % 2 == 0), (0.15, 0.15, 0.2))
-    for wheel_x, wheel_y, wheel_z, radius in _wheels(body):
-        away = np.hypot(y - wheel_y, z - wheel_z)
-        arch = (away < radius + 0.07) & (np.abs(normal[:, 0]) > 0.5)
-        put(paint & arch & (y < wheel_y + radius + 0.07), (0.03, 0.03, 0.03))
-        spoke = np.cos(5 * np.arctan2(y - wheel_y, z - wheel_z)) > -0.3
-        rim = (away < 0.62 * radius) & (own[:, 0] * np.sign(wheel_x) > half - 0.05)
-        put((material == RUBBER) & rim & (spoke | (away < 0.2 * radius)), (0.5, 0.51, 0.53), 0.1)
-    if actor.kind == "truck":
-        put((material == BOX) & (y < 0.32 * height) & ~lamp & ~plate, (0.07, 0.07, 0.08))
-        put((material == BOX) & (x < 0.012) & (z < 0.1) & (y > 0.32 * height), (0.25,) * 3)
-    if actor.kind == "van":
-        put((x < 0.012) & (z < 0.2) & (y > 0.2 * height), (0.05,) * 3)
+    points = _Points(BODIES[actor.kind], material, own, normal)
+    rng = np.random.default_rng([actor.style, 5])
+    for details in (_trim, _lamps_and_plate, _wheels_and_arches):
+        for where, color, shine in details(points, actor, rng):
+            base[where] = color
+            gloss[where] = shine
     return base, gloss
+
+
+class _Points:
+    """Points on the surface of a vehicle, and what is asked of them over and over."""
+
+    def __init__(self, body, material, own, normal):
+        self.body, self.material, self.normal = body, material, normal
+        self.across, self.y, self.z = own.T
+        self.x = np.abs(self.across)
+        self.half, self.height = body.width / 2, body.height
+        self.paint = material == PAINT
+        self.solid = self.paint | (material == BOX)
+        self.beside = np.abs(normal[:, 0]) > 0.5
+
+
+def _trim(p, actor, rng):
+    """Yield (points, colour, mirror share) of bumpers, seams and handles."""
+    black = (0.05, 0.05, 0.05)
+    if actor.kind == "truck":
+        yield (p.material == BOX) & (p.y < 0.32 * p.height), (0.07, 0.07, 0.08), 0.0
+        door = (p.x < 0.012) & (p.z < 0.1) & (p.y > 0.32 * p.height)
+        yield (p.material == BOX) & door, (0.25, 0.25, 0.25), 0.0
+        return
+    low = _floor(p.body) + 0.06 + rng.choice([0.0, 0.05, 0.13]) * (p.z < 0.25)
+    yield p.paint & (p.y < low), (0.09, 0.09, 0.10), 0.02
+    boot = np.abs(p.y - p.body.plate * p.height * 0.86) < 0.007
+    yield p.paint & boot & (p.z < 0.2), black, 0.0
+    seams = np.array([0.36, 0.56, 0.74]) * p.body.length
+    close = np.abs(p.z[:, None] - seams).min(axis=1) < 0.011
+    yield p.paint & p.beside & close & (p.y > _floor(p.body) + 0.1), black, 0.0
+    handle = np.abs(p.z[:, None] - seams[:2] - 0.12).min(axis=1) < 0.09
+    level = np.abs(p.y - 0.60 * p.height) < 0.018
+    yield p.paint & p.beside & handle & level, (0.12, 0.12, 0.12), 0.1
+    if actor.kind == "van":
+        yield (p.x < 0.012) & (p.z < 0.2) & (p.y > 0.2 * p.height), black, 0.0
+
+
+def _lamps_and_plate(p, actor, rng):
+    """Yield (points, colour, mirror share) of lamps, grille and number plate."""
+    inner, low, high = p.body.lights
+    inner += rng.uniform(-0.06, 0.06)
+    share = p.y / p.height
+    lamp = (p.x > inner * p.half) & (share > low) & (share < high) & (p.z < 0.22)
+    yield p.solid & lamp, (0.62, 0.035, 0.045), 0.10
+    clear = (share < low + 0.3 * (high - low)) & (p.x < (inner + 0.18) * p.half)
+    yield p.solid & lamp & clear, (0.75, 0.70, 0.66), 0.10
+    front = p.paint & (p.z > 0.93 * p.body.length)
+    headlamp = (p.x > 0.55 * p.half) & (share > 0.38) & (share < 0.52)
+    yield front & headlamp, (0.85, 0.87, 0.9), 0.2
+    grille = (p.x < 0.5 * p.half) & (share > 0.25) & (share < 0.46)
+    yield front & grille, (0.06, 0.06, 0.07), 0.05
+    height = np.abs(p.y - p.body.plate * p.height)
+    plate = p.solid & (p.x < 0.26) & (height < 0.06) & (p.z < 0.3)
+    yield plate, rng.choice([(0.86, 0.86, 0.84), (0.83, 0.74, 0.30)]), 0.0
+    letters = (p.x < 0.21) & (height < 0.033) & (np.floor(p.across / 0.035) % 2 == 0)
+    yield plate & letters, (0.15, 0.15, 0.2), 0.0
+
+
+def _wheels_and_arches(p, actor, rng):
+    """Yield (points, colour, mirror share) of arches and rims."""
+    for x, y, z, radius in _wheels(p.body):
+        away = np.hypot(p.y - y, p.z - z)
+        arch = p.beside & (away < radius + 0.07)
+        yield p.paint & arch, (0.03, 0.03, 0.03), 0.0
+        spoke = np.cos(5 * np.arctan2(p.y - y, p.z - z)) > -0.3
+        rim = (away < 0.62 * radius) & (p.across * np.sign(x) > p.half - 0.05)
+        hub = away < 0.2 * radius
+        yield (p.material == RUBBER) & rim & (spoke | hub), (0.5, 0.51, 0.53), 0.1
 
 
 def _draw_contact_shadow(view, picture, actor, time):
@@ -1063,8 +1129,9 @@ def render(world, time):
     view = View.of(world, time)
     picture = np.zeros((view.size[1], view.size[0], 3), np.float32)
     distance = _visible_ground(view)
-    _draw_sky(view, picture, int(np.argmax(np.isfinite(distance))))
-    _draw_ground(view, picture)
+    first = int(np.argmax(np.isfinite(distance)))
+    _draw_sky(view, picture, first)
+    _draw_ground(view, picture, distance, first)
     for actor in world.actors:
         _draw_contact_shadow(view, picture, actor, time)
     things = _roadside_things(view)
@@ -1075,19 +1142,19 @@ def render(world, time):
         draw(view, picture, *arguments)
     _draw_rails(view, picture)
     drawn = [(arguments[0], *draw(view, picture, *arguments)) for _, draw, arguments in near]
-    hidden = [(a, *_outline(view, a, time)) for a in world.actors if a.oncoming]
-    truth = _truth_boxes(world, drawn) + _ignored_boxes(world, hidden)
+    oncoming = [(a, _outline(view, a, time)) for a in world.actors if a.oncoming]
+    truth = _truth_boxes(world, drawn) + _ignored_boxes(world, oncoming)
     return _sensor(world, picture, time), truth
 
 
 def _outline(view, actor, time):
-    """No coverage, and the box of an actor that is not scored."""
+    """Box of an actor in the frame, not cut at its border; None if it is behind the camera."""
     placed = _actor_mesh(view, actor, time)[0].reshape(-1, 3)
     placed = placed[placed[:, 2] > 1.0]
     if not len(placed):
-        return None, None
+        return None
     outline = view.distorted(*placed.T)
-    return None, np.concatenate([outline.min(axis=0), outline.max(axis=0)])
+    return np.concatenate([outline.min(axis=0), outline.max(axis=0)])
 
 
 def _cut(world, box):
@@ -1133,12 +1200,14 @@ def _free_share(coverage, nearer_ones):
     return float(free.sum() / max(alpha.sum(), 1e-9))
 
 
-def _ignored_boxes(world, hidden):
+def _ignored_boxes(world, outlines):
+    """Truth of the other carriageway, from (actor, box), not required."""
     truth = []
-    for actor, _, box in hidden:
-        if box is not None and _cut(world, box)[1] > 0.02:
-            inside = tuple(_cut(world, box)[0].tolist())
-            truth.append(TruthBox(actor.identity, inside, False, 0.5))
+    for actor, box in outlines:
+        if box is not None:
+            inside, share = _cut(world, box)
+            if share > 0.02:
+                truth.append(TruthBox(actor.identity, tuple(inside.tolist()), False, 0.5))
     return truth
 
 

@@ -203,10 +203,12 @@ def main():
         non_vehicles = find_images(arguments.non_vehicles)
         print(f"{len(vehicles)} vehicles, {len(non_vehicles)} non-vehicles")
         params = FEATURE_PRESETS[arguments.preset]
+        # An hour's fit must not end at a folder that cannot be written to.
+        arguments.out.parent.mkdir(parents=True, exist_ok=True)
         classifier = train(vehicles, non_vehicles, params, arguments)
+        save_classifier(classifier, arguments.out)
     except (OSError, ValueError) as error:
         sys.exit(f"error: {error}")
-    save_classifier(classifier, arguments.out)
     print(f"wrote {arguments.out}")
 
 

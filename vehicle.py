@@ -108,10 +108,9 @@ class Vehicle:
         self.calibration = None
         if path_calib is not None:
             self.load_calibration(path_calib)
-        self.load_param_detect(path_param)
         self.search = search
         self.heat_filter = heat_filter
-        self.reset()
+        self.load_param_detect(path_param)
 
     def load_calibration(self, path):
         """Read a calibration, see `calibrate.load_calibration`."""
@@ -119,8 +118,9 @@ class Vehicle:
         self._maps = {}
 
     def load_param_detect(self, path):
-        """Read a classifier, see `classifier.load_classifier`."""
+        """Read a classifier, see `classifier.load_classifier`; forgets all frames."""
         self.classifier = load_classifier(path)
+        self.reset()
 
     def reset(self):
         """Forget all frames: the next one begins another video."""

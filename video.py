@@ -17,6 +17,9 @@ from moviepy.video.io.ffmpeg_writer import FFMPEG_VideoWriter
 from files import written_whole
 
 _QUEUE_LENGTH = 8
+ENCODER_PRESETS = (
+    "ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -146,36 +149,49 @@ def video_writer(path, info, preset="ultrafast"):
     Raises
     ------
     ValueError
-        A frame of another size.
+        A frame of another size, or no frame at all.
+    OSError
+        The encoder failed.
     """
     frames = queue.Queue(_QUEUE_LENGTH)
-    failure = []
+    failures = []
+    n_written = 0
 
     def write(frame):
+        nonlocal n_written
         if frame.shape != (info.height, info.width, 3) or frame.dtype != np.uint8:
             raise ValueError(f"{path}: a frame of {frame.shape} does not fit the video")
-        if failure:
-            raise failure[0]
+        if failures:
+            raise OSError(f"{path}: cannot be encoded: {failures[0]}")
         frames.put(frame)
-
-    def encode(partial):
-        size = (info.width, info.height)
-        try:
-            with FFMPEG_VideoWriter(str(partial), size, info.fps, preset=preset) as encoder:
-                while (frame := frames.get()) is not None:
-                    encoder.write_frame(frame)
-        except Exception as error:
-            failure.append(error)
-            while frames.get() is not None:
-                continue
+        n_written += 1
 
     with written_whole(path) as partial:
-        thread = threading.Thread(target=encode, args=(partial,), daemon=True)
+        arguments = frames, partial, info, preset, failures
+        thread = threading.Thread(target=_encode, args=arguments, daemon=True)
         thread.start()
         try:
             yield write
         finally:
             frames.put(None)
             thread.join()
-        if failure:
-            raise failure[0]
+        if not n_written:
+            raise ValueError(f"{path}: no frame to write")
+        if failures:
+            raise OSError(f"{path}: cannot be encoded: {failures[0]}")
+
+
+def _encode(frames, path, info, preset, failures):
+    """Write queued frames to a file until None comes; what goes wrong is added to `failures`."""
+    try:
+        encoder = FFMPEG_VideoWriter(str(path), (info.width, info.height), info.fps, preset=preset)
+        process = encoder.proc
+        with encoder:
+            while (frame := frames.get()) is not None:
+                encoder.write_frame(frame)
+        if process.returncode:
+            failures.append(f"the encoder ended with status {process.returncode}")
+    except Exception as error:
+        failures.append(str(error).strip().splitlines()[-1])
+        while frames.get() is not None:
+            continue

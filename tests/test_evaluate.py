@@ -71,6 +71,17 @@ def test_required_vehicle_in_an_ignore_region_still_counts():
     assert evaluate(truth, detections)["precision"] == 1
 
 
+def test_false_alarms_count_where_the_truth_is_silent():
+    figures = evaluate(TRUTH, rows((9, -1, 500, 0, 540, 40, 1)))
+    assert figures["frames"] == 9 and figures["false positives"] == 1
+
+
+def test_nothing_found():
+    figures = evaluate(TRUTH, rows())
+    assert figures["recall"] == 0 and figures["mean IoU"] is None and figures["IDF1"] is None
+    assert figures["frames to first box"] == {"1 from 1": None, "2 from 1": None}
+
+
 def test_frames_are_chosen():
     figures = evaluate(TRUTH, rows_of([[], [(0, 0, 40, 40)], []]), range(2, 3))
     assert figures["frames"] == 1 and figures["recall"] == 0.5 and figures["precision"] == 1
@@ -127,7 +138,9 @@ def test_command_line(tmp_path):
     assert "mean IoU                    1.000" in result.stdout
 
 
-@pytest.mark.parametrize("text", ["1,1,0,0\n", "a,b,c,d,e,f,g\n", "1,1,0,0,4,4,1\n2,2\n"])
+@pytest.mark.parametrize(
+    "text", ["1,1,0,0\n", "a,b,c,d,e,f,g\n", "1,nan,0,0,4,4,1\n", "1,1,0,0,4,4,1\n2,2\n"]
+)
 def test_bad_rows_are_named(tmp_path, text):
     (tmp_path / "boxes.txt").write_text(text)
     with pytest.raises(ValueError, match=r"boxes\.txt: rows are to be"):

@@ -91,15 +91,19 @@ def test_resumes_where_it_stopped(tmp_path):
         calls.append(configuration["id"])
         if configuration["id"] == "3" and len(calls) == 3:
             raise KeyboardInterrupt
-        return {"id": configuration["id"], "features": int(configuration["id"]) * factor}
+        identity = configuration["id"]
+        return {"id": identity, "features": int(identity) * factor, "settings": "a"}
 
     with pytest.raises(KeyboardInterrupt):
-        run_all(CONFIGURATIONS[:4], path, task, (10,))
+        run_all(CONFIGURATIONS[:4], path, task, (10,), lambda c: "a")
     assert set(read_results(path)) == {"1", "2"}
-    results = run_all(CONFIGURATIONS[:4], path, task, (10,))
+    results = run_all(CONFIGURATIONS[:4], path, task, (10,), lambda c: "a")
     assert calls == ["1", "2", "3", "3", "4"]
     assert read_results(path).keys() == results.keys() == {"1", "2", "3", "4"}
     assert read_results(path)["4"]["features"] == "40"
+    # What was finished with other settings is not finished.
+    run_all(CONFIGURATIONS[:1], path, task, (20,), lambda c: "b")
+    assert calls[5:] == ["1"] and read_results(path)["1"]["features"] == "20"
 
 
 def test_row_of_a_configuration(tmp_path):
@@ -115,6 +119,11 @@ def test_row_of_a_configuration(tmp_path):
 
 
 # A cluster of two worker processes on this machine.
+
+
+def wanted(configuration):
+    """Settings of no row: all are run."""
+    return f"never run: {configuration['id']}"
 
 
 def slow_configuration(configuration, dataset, folder):
@@ -138,9 +147,9 @@ def test_cluster_gives_the_same_table(cluster, tmp_path):
     chosen = [CONFIGURATIONS[i] for i in (6, 9, 18)]
     rest = dataset, None, None, 0
     with workers(None, 1, []):
-        here = run_all(chosen, tmp_path / "here.csv", run_configuration, rest)
+        here = run_all(chosen, tmp_path / "here.csv", run_configuration, rest, wanted)
     with workers(cluster.scheduler_address, -1, [dataset]):
-        there = run_all(chosen, tmp_path / "there.csv", run_configuration, rest)
+        there = run_all(chosen, tmp_path / "there.csv", run_configuration, rest, wanted)
     assert [figures_of(here[i]) for i in ("7", "10", "19")] == [
         figures_of(there[i]) for i in ("7", "10", "19")
     ]
@@ -163,6 +172,8 @@ def test_killed_worker_loses_nothing(cluster, tmp_path, monkeypatch):
 
     monkeypatch.setattr(experiments, "write_results", kill_after_first_result)
     with workers(cluster.scheduler_address, -1, [dataset]):
-        results = run_all(chosen, tmp_path / "r.csv", slow_configuration, (dataset, str(notes)))
+        results = run_all(
+            chosen, tmp_path / "r.csv", slow_configuration, (dataset, str(notes)), wanted
+        )
     assert killed
     assert set(results) == set(read_results(tmp_path / "r.csv")) == {c["id"] for c in chosen}

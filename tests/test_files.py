@@ -47,6 +47,14 @@ def test_truncated_image_is_named(tmp_path, suffix, keep):
         read_image(path)
 
 
+def test_what_a_camera_writes_behind_a_jpeg_does_no_harm(tmp_path):
+    path = tmp_path / "img.jpg"
+    write_image(path, textured_image(1, 64, 64))
+    expected = read_image(path)
+    path.write_bytes(path.read_bytes() + b"trailer" * 50)
+    np.testing.assert_array_equal(read_image(path), expected)
+
+
 def test_missing_image_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"gone\.png: no such image"):
         read_image(tmp_path / "gone.png")

@@ -178,7 +178,12 @@ def test_failed_video_leaves_nothing(tmp_path):
         video_writer(tmp_path / "b.mp4", info) as write,
     ):
         write(textured_image(0, 90, 160))
-    with pytest.raises(OSError), video_writer(tmp_path / "c.mp4", info, "no preset") as write:
+    with pytest.raises(ValueError, match="no frame"), video_writer(tmp_path / "d.mp4", info):
+        pass
+    with (
+        pytest.raises(OSError, match="cannot be encoded"),
+        video_writer(tmp_path / "c.mp4", info, "no preset") as write,
+    ):
         for frame in moving_frames(40):
             write(frame)
     assert list(tmp_path.iterdir()) == []
@@ -242,7 +247,24 @@ def test_two_inputs_of_one_name_are_refused(param, tmp_path):
     for folder in ("a", "b"):
         write_image(tmp_path / folder / "same.png", next(moving_frames(1)))
     result = run(tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out", "--param", param)
-    assert result.returncode == 1 and "another input would write same.txt" in result.stderr
+    assert result.returncode == 1 and "is taken: use another --out" in result.stderr
+
+
+def test_an_input_is_never_overwritten(param, tmp_path):
+    write_image(tmp_path / "still.png", next(moving_frames(1)))
+    before = (tmp_path / "still.png").read_bytes()
+    result = run(tmp_path / "still.png", "--out", tmp_path, "--param", param)
+    assert result.returncode == 1 and "is taken: use another --out" in result.stderr
+    assert (tmp_path / "still.png").read_bytes() == before
+
+
+def test_what_is_wrong_with_a_frame_names_the_file(param, tmp_path):
+    write_image(tmp_path / "tiny.png", textured_image(0, 20, 320))
+    result = run(tmp_path / "tiny.png", "--out", tmp_path / "out", "--param", param)
+    assert result.returncode == 1
+    assert result.stderr.splitlines()[-1].startswith(
+        f"error: {tmp_path / 'tiny.png'}: no window fits"
+    )
 
 
 def test_shipped_classifier_is_preset_g():
