@@ -122,8 +122,12 @@ def _look_up_roots(pixels, roots):
 # No value is infinite or not a number here, and bins near an edge are settled
 # elsewhere, so the compiler may fuse and reorder.
 @njit(**_COMPILE, fastmath={"contract", "nnan", "nsz"})
-def _gradients(left, right, above, below, magnitudes, bins, orientations):
-    """Magnitude and orientation bin of a run of pixels; one SIMD loop."""
+def _gradients(neighbours, magnitudes, bins, orientations):
+    """Magnitude and orientation bin of a run of pixels; one SIMD loop.
+
+    `neighbours` are the runs to the left, right, above and below.
+    """
+    left, right, above, below = neighbours
     unit = np.float32(1.0 / _FIXED_POINT)
     for i in range(magnitudes.size):
         x = np.float32(right[i] - left[i])
@@ -193,9 +197,8 @@ def _vote(img, pix_per_cell, first_cell_row, last_cell_row, histograms, unsettle
                 (here, here, columns - 1, columns),
             ):
                 run = slice(first, last)
-                _gradients(
-                    left, right, top[run], bottom[run], magnitudes[run], bins[run], orientations
-                )
+                neighbours = left, right, top[run], bottom[run]
+                _gradients(neighbours, magnitudes[run], bins[run], orientations)
             cells = histograms[channel, row // pix_per_cell]
             # Neighbouring pixels mostly share cell and bin: going from cell to
             # cell keeps one sum from waiting for the one before it.
