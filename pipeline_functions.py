@@ -377,6 +377,8 @@ def _spatial_windows(img, params, cells_per_step):
     for i, k in np.ndindex(n_shifts, n_shifts):
         shifted = img[i * pitch :, k * pitch :]
         size = shifted.shape[1] // factor, shifted.shape[0] // factor
+        if min(size) == 0:
+            continue
         whole = shifted[: size[1] * factor, : size[0] * factor]
         shrunk[i::n_shifts, k::n_shifts][: size[1], : size[0]] = cv2.resize(
             whole, size, interpolation=cv2.INTER_LINEAR

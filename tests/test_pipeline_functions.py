@@ -184,6 +184,14 @@ def test_dense_features_equal_single_windows(params, seed, rows, columns, cells_
     np.testing.assert_allclose(features, expected, atol=2e-6)
 
 
+@pytest.mark.parametrize("spatial_size", [1, 2, 64])
+def test_extreme_spatial_sizes(spatial_size):
+    params = FeatureParams(spatial_color="RGB", spatial_size=spatial_size)
+    img = textured_image(0, 65, 124)
+    expected = reference.band_features(img, params, 1)
+    np.testing.assert_array_equal(dense_features(img, params, 1), expected)
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
