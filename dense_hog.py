@@ -82,6 +82,7 @@ def _cell_histograms(img, orientations, pix_per_cell):
     histograms = np.zeros((channels, cell_rows, columns // pix_per_cell, orientations), np.float32)
 
     def vote(first, last):
+        """Let the pixels of the cell rows first..last vote."""
         unsettled = np.empty(((last - first) * pix_per_cell * columns * channels, 3), np.int32)
         n_unsettled = _vote(img, pix_per_cell, first, last, histograms, unsettled)
         if n_unsettled:

@@ -295,6 +295,7 @@ def _caps_and_wheels(body, grid):
     triangles, materials = [], []
 
     def add(points, material):
+        """Add a flat convex polygon as a fan of triangles."""
         points = np.asarray(points, float)
         for i in range(1, len(points) - 1):
             triangles.append(points[[0, i, i + 1]])
@@ -549,6 +550,7 @@ def _dashes(s, length, period, footprint):
     """Share of a pixel's length that dashes along the road cover."""
 
     def covered(s):
+        """Metres of paint from the start of the road to s."""
         return np.floor(s / period) * length + np.minimum(s % period, length)
 
     return (covered(s + footprint / 2) - covered(s - footprint / 2)) / footprint

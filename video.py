@@ -100,6 +100,7 @@ def _ahead(items):
     end = object()
 
     def fill():
+        """Put items into the buffer, then its end or what went wrong."""
         try:
             for item in items:
                 buffer.put(item)
@@ -158,6 +159,7 @@ def video_writer(path, info, preset="ultrafast"):
     n_written = 0
 
     def write(frame):
+        """Hand a frame to the encoder; waits while its queue is full."""
         nonlocal n_written
         if frame.shape != (info.height, info.width, 3) or frame.dtype != np.uint8:
             raise ValueError(f"{path}: a frame of {frame.shape} does not fit the video")
