@@ -33,7 +33,8 @@ from classifier import Classifier, save_classifier
 from evaluate import evaluate, read_rows, rows_of
 from files import find_images, write_whole, written_whole
 from pipeline_functions import SEARCH_PRESETS, FeatureParams, SearchParams, extract_features
-from train import fit_linear, fit_searched, read_window
+from train import fit_linear, fit_searched
+from training_images import read_window
 from vehicle import Vehicle
 from video import read_frames
 

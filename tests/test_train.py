@@ -10,6 +10,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 
 import train
+import training_images
 from classifier import load_classifier, save_classifier
 from conftest import ROOT, random_classifier, textured_image
 from files import write_image
@@ -56,7 +57,7 @@ def test_scaler_never_sees_the_test_part(data):
     others = sorted((data / "non-vehicles").rglob("*.png"))
     arguments.jobs = 1
     classifier = train.train(vehicles, others, params, arguments)
-    everything, _ = train.features_of_files(vehicles + others, params)
+    everything, _ = training_images.features_of_files(vehicles + others, params)
     assert classifier.scaler.n_samples_seen_ == 0.8 * len(everything)
     assert not np.allclose(classifier.scaler.mean_, everything.mean(axis=0))
 
@@ -75,7 +76,7 @@ def test_grid_search_picks_a_kernel(capsys):
 
 def test_other_sizes_are_resized_and_said(data, tmp_path, capsys):
     write_image(tmp_path / "large.png", textured_image(0, 128, 128))
-    features = train.extract_all([tmp_path / "large.png"], FEATURE_PRESETS["G"], jobs=1)
+    features = training_images.extract_all([tmp_path / "large.png"], FEATURE_PRESETS["G"], jobs=1)
     assert features.shape == (1, 2304)
     assert "resized to 64x64: 1 images" in capsys.readouterr().out
 
