@@ -36,16 +36,16 @@ def mot_rows(frame_number, detections):
     Returns
     -------
     rows : list of str
-        frame,id,left,top,width,height,score,-1,-1,-1 with id -1: no identity.
+        frame,id,left,top,width,height,score,-1,-1,-1, the id constant per vehicle.
 
     References
     ----------
     .. [1] L. Leal-Taixe et al., "MOTChallenge 2015", arXiv:1504.01942.
     """
     return [
-        f"{frame_number},-1,{left},{top},{right - left},{bottom - top},{score:.3f},-1,-1,-1"
-        for (left, top, right, bottom), score in zip(
-            detections.boxes, detections.scores, strict=True
+        f"{frame_number},{identity},{left},{top},{right - left},{bottom - top},{score:.3f},-1,-1,-1"
+        for identity, (left, top, right, bottom), score in zip(
+            detections.ids, detections.boxes, detections.scores, strict=True
         )
     ]
 

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from files import written_whole
+from tracks import pairwise_iou, pairwise_overlap
 
 HEIGHT_EDGES = (30, 40, 60, 100, np.inf)
 # A vehicle that comes back after this many frames has to be found anew.
@@ -87,21 +88,6 @@ def rows_of(boxes):
     frames = np.repeat(np.arange(1, len(boxes) + 1), counts)
     stacked = np.concatenate([np.reshape(of_frame, (-1, 4)) for of_frame in boxes])
     return Rows(frames, np.full(len(frames), -1), stacked.astype(float), np.ones(len(frames)))
-
-
-def pairwise_overlap(boxes, others):
-    """Intersection of every box with every other, in square pixels, shape (n, m)."""
-    low = np.maximum(boxes[:, None, :2], others[None, :, :2])
-    high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
-    return np.clip(high - low, 0, None).prod(axis=2)
-
-
-def pairwise_iou(boxes, others):
-    """Intersection over union of every box with every other, shape (n, m)."""
-    common = pairwise_overlap(boxes, others)
-    areas, other_areas = ((b[:, 2:] - b[:, :2]).prod(axis=1) for b in (boxes, others))
-    union = areas[:, None] + other_areas[None] - common
-    return np.divide(common, union, out=np.zeros_like(common), where=union > 0)
 
 
 def match(required, detected, iou_threshold=0.5):

@@ -7,6 +7,7 @@ Every image is RGB, uint8, shape (rows, columns, 3). Every box is
 boxes travel as int arrays of shape (n, 4).
 """
 
+from colorsys import hsv_to_rgb
 from dataclasses import dataclass
 from functools import lru_cache
 from math import gcd
@@ -806,3 +807,31 @@ def draw_labeled_bboxes(img, labels, color=(0, 0, 255), thickness=4):
     `labels` is as large as the image, see `labeled_boxes`.
     """
     return draw_boxes(img, labeled_boxes(labels), color, thickness)
+
+
+def identity_color(identity):
+    """A bright RGB colour for a vehicle's number, far from those of its neighbours."""
+    # Steps of the golden ratio around the circle of hues never come close to each other soon.
+    hue = identity * 0.6180339887 % 1
+    return tuple(round(255 * value) for value in hsv_to_rgb(hue, 0.85, 1.0))
+
+
+def draw_vehicles(img, boxes, ids, thickness=4):
+    """A copy of the image with every vehicle boxed and numbered in the colour of its identity.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        RGB.
+    boxes : ndarray of int, shape (n, 4)
+    ids : ndarray of int, shape (n,)
+    thickness : int
+        In pixels.
+    """
+    img = img.copy()
+    for (left, top, right, bottom), identity in zip(boxes.tolist(), ids.tolist(), strict=True):
+        color = identity_color(identity)
+        cv2.rectangle(img, (left, top), (right - 1, bottom - 1), color, thickness)
+        place = left, max(top - 2 * thickness, 20)
+        cv2.putText(img, str(identity), place, cv2.FONT_HERSHEY_SIMPLEX, 0.8, color, 2, cv2.LINE_AA)
+    return img

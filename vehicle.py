@@ -14,11 +14,13 @@ from pipeline_functions import (
     add_heat,
     apply_threshold,
     draw_boxes,
+    draw_vehicles,
     find_blobs,
     find_cars,
     keep_lasting_heat,
     slide_window,
 )
+from tracks import DEFAULT_TRACKS, Tracker
 
 # Hot windows on one place that the pictures of heat show at their brightest.
 _HEAT_FULL_SCALE = 8
@@ -71,6 +73,8 @@ class Detections:
     boxes : ndarray of int, shape (n, 4)
     scores : ndarray of float, shape (n,)
         Highest heat within each box.
+    ids : ndarray of int, shape (n,)
+        Identity of each vehicle, from 1, the same in every frame.
     """
 
     hot_windows: np.ndarray
@@ -79,6 +83,7 @@ class Detections:
     grid: HeatGrid
     boxes: np.ndarray
     scores: np.ndarray
+    ids: np.ndarray
 
 
 class Vehicle:
@@ -96,6 +101,8 @@ class Vehicle:
         Classifier of `train.py`.
     search : SearchParams
     heat_filter : FilterParams
+    track_params : TrackParams
+        How boxes of one frame find their vehicles in the next.
     """
 
     def __init__(
@@ -104,12 +111,14 @@ class Vehicle:
         path_param="param/svc_pickle.p",
         search=SEARCH_PRESETS["G"],
         heat_filter=FILTER_PRESETS["G"],
+        track_params=DEFAULT_TRACKS,
     ):
         self.calibration = None
         if path_calib is not None:
             self.load_calibration(path_calib)
         self.search = search
         self.heat_filter = heat_filter
+        self.track_params = track_params
         self.load_param_detect(path_param)
 
     def load_calibration(self, path):
@@ -131,9 +140,10 @@ class Vehicle:
         # nothing would ever last long enough to become one.
         self._warm_places = None
         self._heatmaps = deque(maxlen=self.heat_filter.n_acc)
+        self._tracker = Tracker(self.track_params)
 
     def process_image(self, rgb_frame):
-        """The next frame of the video with the vehicles boxed.
+        """The next frame of the video, its vehicles boxed in colours of their own.
 
         Parameters
         ----------
@@ -194,11 +204,12 @@ class Vehicle:
         cells, scores = find_blobs(filtered)
         self._warm_places = self._grid.to_pixels(find_blobs(heatmap + filtered)[0])
         boxes = self._grid.to_pixels(cells)
-        return Detections(hot_windows, heatmap, filtered, self._grid, boxes, scores)
+        ids = self._tracker.update(boxes)
+        return Detections(hot_windows, heatmap, filtered, self._grid, boxes, scores, ids)
 
     def draw(self, rgb_frame, detections):
-        """Boxes on the frame, then undistortion if there is a calibration."""
-        return self.undistort(draw_boxes(rgb_frame, detections.boxes))
+        """Vehicles on the frame, then undistortion if there is a calibration."""
+        return self.undistort(draw_vehicles(rgb_frame, detections.boxes, detections.ids))
 
     def step_pictures(self, rgb_frame, detections):
         """Hot windows, heat, heat that lasts and boxes, each drawn on the frame.
@@ -215,7 +226,7 @@ class Vehicle:
             draw_boxes(rgb_frame, detections.hot_windows, thickness=2),
             draw_heat(rgb_frame, heat, _HEAT_FULL_SCALE),
             draw_heat(rgb_frame, lasting, _HEAT_FULL_SCALE * self.heat_filter.n_acc),
-            draw_boxes(rgb_frame, detections.boxes),
+            draw_vehicles(rgb_frame, detections.boxes, detections.ids),
         ]
         return [self.undistort(picture) for picture in pictures]
 

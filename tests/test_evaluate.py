@@ -16,11 +16,11 @@ from evaluate import (
     evaluate,
     forgive,
     match,
-    pairwise_iou,
     precision_recall,
     read_rows,
     rows_of,
 )
+from tracks import pairwise_iou
 
 
 def rows(*values):

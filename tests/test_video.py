@@ -14,7 +14,13 @@ from calibrate import Calibration, save_calibration
 from classifier import save_classifier
 from conftest import ROOT, random_classifier, textured_image
 from files import write_image
-from pipeline_functions import FEATURE_PRESETS, SEARCH_PRESETS, FeatureParams, are_near
+from pipeline_functions import (
+    FEATURE_PRESETS,
+    SEARCH_PRESETS,
+    FeatureParams,
+    are_near,
+    identity_color,
+)
 from vehicle import FILTER_PRESETS, FilterParams, Vehicle
 from video import VideoInfo, read_frames, video_info, video_writer
 
@@ -67,7 +73,7 @@ def test_process_image_draws_the_boxes(param):
     vehicle.reset()
     detections = vehicle.detect(frame)
     left, top, right, bottom = detections.boxes[0]
-    assert (drawn[top, left : right - 1] == (0, 0, 255)).all()
+    assert (drawn[top, left : right - 1] == identity_color(detections.ids[0])).all()
     assert drawn.shape == frame.shape and len(vehicle.step_pictures(frame, detections)) == 4
     assert vehicle.draw_split_screen(frame, detections).shape == frame.shape
 
@@ -213,12 +219,15 @@ def test_detect_writes_pictures_and_boxes(param, tmp_path):
     assert len(list(read_frames(out / "clip_split.mp4"))) == 20
     rows = np.loadtxt(out / "clip.txt", delimiter=",", ndmin=2)
     vehicle = Vehicle(None, param)
+    found = [vehicle.detect(frame) for frame in read_frames(clip)]
     expected = [
-        (number, -1, left, top, right - left, bottom - top)
-        for number, frame in enumerate(read_frames(clip), start=1)
-        for left, top, right, bottom in vehicle.detect(frame).boxes
+        (number, identity, left, top, right - left, bottom - top)
+        for number, detections in enumerate(found, start=1)
+        for identity, (left, top, right, bottom) in zip(
+            detections.ids, detections.boxes, strict=True
+        )
     ]
-    assert len(rows) > 0
+    assert len(rows) > 0 and rows[:, 1].min() == 1
     np.testing.assert_array_equal(rows[:, :6], expected)
     assert (rows[:, 7:] == -1).all()
 
