@@ -116,8 +116,11 @@ def _vote_exactly(img, pix_per_cell, histograms, places):
 
 @njit(**_COMPILE)
 def _look_up_roots(pixels, roots):
+    """Roots of a row of pixels, with one more at each end that makes the end's gradient 0."""
     for i in range(pixels.size):
-        roots[i] = _FIXED_ROOT[pixels[i]]
+        roots[i + 1] = _FIXED_ROOT[pixels[i]]
+    roots[0] = roots[2]
+    roots[-1] = roots[-3]
 
 
 # No value is infinite or not a number here, and bins near an edge are settled
@@ -176,9 +179,9 @@ def _vote(img, pix_per_cell, first_cell_row, last_cell_row, histograms, unsettle
     rows, columns, channels = img.shape
     _, _, cell_columns, orientations = histograms.shape
     first_row = first_cell_row * pix_per_cell
-    above = np.empty(columns, np.int32)
-    here = np.empty(columns, np.int32)
-    below = np.empty(columns, np.int32)
+    above = np.empty(columns + 2, np.int32)
+    here = np.empty(columns + 2, np.int32)
+    below = np.empty(columns + 2, np.int32)
     magnitudes = np.empty(columns, np.float32)
     bins = np.empty(columns, np.int32)
     n_unsettled = 0
@@ -192,14 +195,8 @@ def _vote(img, pix_per_cell, first_cell_row, last_cell_row, histograms, unsettle
             # The image's border has no gradient across it.
             inside = 0 < row < rows - 1
             top, bottom = (above, below) if inside else (here, here)
-            for left, right, first, last in (
-                (here, here, 0, 1),
-                (here[:-2], here[2:], 1, columns - 1),
-                (here, here, columns - 1, columns),
-            ):
-                run = slice(first, last)
-                neighbours = left, right, top[run], bottom[run]
-                _gradients(neighbours, magnitudes[run], bins[run], orientations)
+            neighbours = here[:-2], here[2:], top[1:-1], bottom[1:-1]
+            _gradients(neighbours, magnitudes, bins, orientations)
             cells = histograms[channel, row // pix_per_cell]
             # Neighbouring pixels mostly share cell and bin: going from cell to
             # cell keeps one sum from waiting for the one before it.
