@@ -829,9 +829,12 @@ def draw_vehicles(img, boxes, ids, thickness=4):
         In pixels.
     """
     img = img.copy()
+    font_scale = img.shape[0] / 600
     for (left, top, right, bottom), identity in zip(boxes.tolist(), ids.tolist(), strict=True):
         color = identity_color(identity)
         cv2.rectangle(img, (left, top), (right - 1, bottom - 1), color, thickness)
-        place = left, max(top - 2 * thickness, 20)
-        cv2.putText(img, str(identity), place, cv2.FONT_HERSHEY_SIMPLEX, 0.8, color, 2, cv2.LINE_AA)
+        # Above the box, or inside it where that would leave the picture.
+        place = left, max(top - 2 * thickness, round(22 * font_scale))
+        font = cv2.FONT_HERSHEY_SIMPLEX
+        cv2.putText(img, str(identity), place, font, font_scale, color, 2, cv2.LINE_AA)
     return img
