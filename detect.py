@@ -181,21 +181,8 @@ def share(text):
     return value
 
 
-def parse_arguments(arguments=None):
-    """Command line to a namespace; `--help` explains it."""
-    parser = argparse.ArgumentParser(
-        description="Box the vehicles in images and videos. Writes an annotated copy of "
-        "each input and a text file of boxes, MOTChallenge rows in pixels of the frame as read.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
-    parser.add_argument("inputs", nargs="+", type=Path, help="images, folders of them, videos")
-    parser.add_argument("--out", type=Path, required=True, help="folder to write to")
-    parser.add_argument(
-        "--param", type=Path, default=Path("param/svc_pickle.p"), help="from train.py"
-    )
-    parser.add_argument(
-        "--calib", type=Path, help="from calibrate.py; pictures are then drawn undistorted"
-    )
+def add_search_options(parser):
+    """Options that say where windows lie and which heat lasts."""
     parser.add_argument(
         "--filter",
         choices=("G", "B"),
@@ -219,6 +206,24 @@ def parse_arguments(arguments=None):
         metavar="N",
         help="visit all windows in every Nth frame, in others only those near known vehicles",
     )
+
+
+def parse_arguments(arguments=None):
+    """Command line to a namespace; `--help` explains it."""
+    parser = argparse.ArgumentParser(
+        description="Box the vehicles in images and videos. Writes an annotated copy of "
+        "each input and a text file of boxes, MOTChallenge rows in pixels of the frame as read.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    parser.add_argument("inputs", nargs="+", type=Path, help="images, folders of them, videos")
+    parser.add_argument("--out", type=Path, required=True, help="folder to write to")
+    parser.add_argument(
+        "--param", type=Path, default=Path("param/svc_pickle.p"), help="from train.py"
+    )
+    parser.add_argument(
+        "--calib", type=Path, help="from calibrate.py; pictures are then drawn undistorted"
+    )
+    add_search_options(parser)
     parser.add_argument(
         "--split-screen", action="store_true", help="of videos, also one of every step"
     )
