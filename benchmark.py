@@ -111,7 +111,7 @@ def stages(frames, paths):
         ],
         "scores": lambda: classifier.decision_function(rows),
         "search": lambda: find_cars(frame, classifier, search),
-        "heat and labels": lambda: vehicle.remember(detections.hot_windows),
+        "heat, labels and tracks": lambda: vehicle.remember(detections.hot_windows),
         "drawing": lambda: vehicle.draw(frame, detections),
     }
     return {name: milliseconds(call, 25) for name, call in calls.items()}

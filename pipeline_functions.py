@@ -811,7 +811,7 @@ def draw_labeled_bboxes(img, labels, color=(0, 0, 255), thickness=4):
 
 def identity_color(identity):
     """A bright RGB colour for a vehicle's number, far from those of its neighbours."""
-    # Steps of the golden ratio around the circle of hues never come close to each other soon.
+    # Steps of the golden ratio around the circle of hues stay far from all recent ones.
     hue = identity * 0.6180339887 % 1
     return tuple(round(255 * value) for value in hsv_to_rgb(hue, 0.85, 1.0))
 

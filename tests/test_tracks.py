@@ -38,7 +38,7 @@ def test_a_vehicle_out_of_sight_is_known_again_where_its_speed_takes_it():
     for _ in range(30):
         assert tracker.update(boxes()).tolist() == []
     assert tracker.update(boxes(box_at(100 + 5 * 50))).tolist() == [1]
-    # 255 pixels, four times its width, from where it was last seen.
+    # 155 pixels, more than twice its width, from where it was last seen.
     assert pairwise_iou(boxes(box_at(350)), boxes(box_at(195)))[0, 0] == 0
 
 
