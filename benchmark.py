@@ -36,6 +36,7 @@ from pipeline_functions import (
     SearchParams,
     convert_color,
     dense_features,
+    dense_scores,
     find_cars,
     slide_window,
 )
@@ -96,8 +97,6 @@ def stages(frames, paths):
     params, frame = classifier.params, frames[0]
     bands = list(resized_bands(frame, search))
     converted = [convert_color(band, params.hog_color) for band in bands]
-    features = [dense_features(band, params, search.cells_per_step) for band in bands]
-    rows = np.concatenate([block.reshape(-1, params.n_features) for block in features])
     for warm_up in [*frames[:20], frame]:
         detections = vehicle.detect(warm_up)
     hog = params.orientations, params.pix_per_cell, params.cells_per_block
@@ -109,7 +108,9 @@ def stages(frames, paths):
         "colour, HOG and features": lambda: [
             dense_features(band, params, search.cells_per_step) for band in bands
         ],
-        "scores": lambda: classifier.decision_function(rows),
+        "colour, HOG and scores": lambda: [
+            dense_scores(band, params, search.cells_per_step, *classifier.linear) for band in bands
+        ],
         "search": lambda: find_cars(frame, classifier, search),
         "heat, labels and tracks": lambda: vehicle.remember(detections.hot_windows),
         "drawing": lambda: vehicle.draw(frame, detections),

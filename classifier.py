@@ -45,16 +45,20 @@ class Classifier:
         -------
         scores : ndarray of float, shape (n,)
         """
-        if self._folded is not None:
-            weights, bias = self._folded
+        if self.linear is not None:
+            weights, bias = self.linear
             # Not `@`: for so small a product BLAS wakes threads that then spin,
             # and take from whatever runs beside the search.
             return np.einsum("ij,j->i", features, weights) + bias
         return self.svm.decision_function(self.scaler.transform(features))
 
     @cached_property
-    def _folded(self):
-        """Scaler and linear SVM in one: w (x - mean) / scale + b = w' x + b'."""
+    def linear(self):
+        """Scaler and linear SVM in one: w (x - mean) / scale + b = w' x + b'.
+
+        Weights, ndarray of float32, shape (n_features,), and bias; None for
+        other kernels.
+        """
         if not hasattr(self.svm, "coef_"):
             return None
         weights = self.svm.coef_[0] / self.scaler.scale_

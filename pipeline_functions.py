@@ -337,11 +337,9 @@ def dense_features(img, params, cells_per_step):
     """
     step = cells_per_step * params.pix_per_cell
     rows, columns = _window_counts(img.shape, params.window_size, step)
-    colors = {params.spatial_color, params.hist_color, params.hog_color} - {None}
-    converted = {color: convert_color(img, color) for color in colors}
     features = np.empty((rows, columns, params.n_features), np.float32)
     start = 0
-    for group in _feature_groups(converted, params, cells_per_step):
+    for group in _feature_groups(img, params, cells_per_step):
         # Windows come first, whatever a group is made of follows.
         size = int(np.prod(group.shape[2:]))
         part = features[:, :, start : start + size]
@@ -350,8 +348,37 @@ def dense_features(img, params, cells_per_step):
     return features
 
 
-def _feature_groups(converted, params, cells_per_step):
+def dense_scores(img, params, cells_per_step, weights, bias):
+    """Products of the feature vectors of all windows with weights, plus a bias.
+
+    What windows share is not copied for each: a sixth of the search's time.
+
+    Parameters
+    ----------
+    img, params, cells_per_step
+        See `dense_features`.
+    weights : ndarray of float32, shape (params.n_features,)
+    bias : float
+
+    Returns
+    -------
+    scores : ndarray of float32, shape (window rows, window columns)
+    """
+    scores, start = np.float32(bias), 0
+    for group in _feature_groups(img, params, cells_per_step):
+        axes = list(range(group.ndim))
+        size = int(np.prod(group.shape[2:]))
+        own = weights[start : start + size].reshape(group.shape[2:])
+        # Not `tensordot`, which copies, and wakes BLAS's threads.
+        scores = scores + np.einsum(group, axes, own, axes[2:], axes[:2])
+        start += size
+    return scores
+
+
+def _feature_groups(img, params, cells_per_step):
     """Yield arrays of shape (window rows, window columns, ...), most of them views."""
+    colors = {params.spatial_color, params.hist_color, params.hog_color} - {None}
+    converted = {color: convert_color(img, color) for color in colors}
     if params.spatial_color:
         yield _spatial_windows(converted[params.spatial_color], params, cells_per_step)
     if params.hist_color:
@@ -568,7 +595,8 @@ def find_cars(frame, classifier, search, boxes=None):
     frame : ndarray of uint8, shape (rows, columns, 3)
         RGB.
     classifier : object
-        With `params`, its FeatureParams, and `decision_function`, which takes
+        With `params`, its FeatureParams; `linear`, weights and bias of a
+        linear decision function or None; `decision_function`, which takes
         features of shape (n, params.n_features) and returns n scores.
     search : SearchParams
     boxes : ndarray of int, shape (n, 4), optional
@@ -633,7 +661,10 @@ def _score_region(resized, region, classifier, search):
         first = (windows.start - before) * step
         cut.append(slice(first, min(length, windows.stop * step + params.window_size)))
         inner.append(slice(before, before + windows.stop - windows.start))
-    features = dense_features(resized[tuple(cut)], params, search.cells_per_step)[tuple(inner)]
+    img, inner = resized[tuple(cut)], tuple(inner)
+    if classifier.linear is not None:
+        return dense_scores(img, params, search.cells_per_step, *classifier.linear)[inner]
+    features = dense_features(img, params, search.cells_per_step)[inner]
     scores = classifier.decision_function(features.reshape(-1, params.n_features))
     return scores.reshape(features.shape[:2])
 
