@@ -20,6 +20,8 @@ _FAR = 420.0
 _HAZE = np.float32((0.7, 0.76, 0.82))
 # How far the horizon lies below the optical centre, in pixels.
 _HORIZON_BELOW_CENTER = (0, 32)
+# Up to here the lens's distortion keeps the order of points.
+_WIDEST_TANGENT = 1.1
 
 # -------------------------------------------------------------------- camera
 
@@ -41,10 +43,16 @@ class Camera:
         return np.array([[f, 0, x], [0, f, y], [0, 0, 1]])
 
     def project(self, points):
-        """Points of shape (n, 3), camera coordinates with y down, to distorted pixels."""
-        pixels, _ = cv2.projectPoints(
-            np.asarray(points, float), np.zeros(3), np.zeros(3), self.mtx, np.array(self.dist)
-        )
+        """Points of shape (n, 3), camera coordinates with y down, to distorted pixels.
+
+        Points at more than `_WIDEST_TANGENT` from the axis, all far outside of
+        the frame, are taken there: beyond it the polynomial turns back.
+        """
+        rays = np.asarray(points, float)[..., :2] / np.asarray(points, float)[..., 2:]
+        tangent = np.linalg.norm(rays, axis=1, keepdims=True)
+        rays = rays * np.minimum(1, _WIDEST_TANGENT / np.maximum(tangent, 1e-9))
+        rays = np.hstack([rays, np.ones((len(rays), 1))])
+        pixels, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), self.mtx, np.array(self.dist))
         return pixels[:, 0]
 
 

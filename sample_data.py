@@ -2,7 +2,7 @@
 
     python sample_data.py output/sample
 
-writes training images of both classes, six test images, a driving video,
+writes scenes and training images of both classes cut from them, six test images, a driving video,
 chessboard photos, and the true boxes. The same seed gives the same pictures.
 """
 
@@ -207,24 +207,28 @@ def _covered(box, other):
     return max(0, width) * max(0, height) / min(areas)
 
 
-def scene_cuts(seed):
-    """Training images of both classes from one scene."""
+def cut_scene(seed):
+    """One scene with its truth, and training images of both classes from it."""
     rng = np.random.default_rng([seed, 12])
     frame, truth = render(random_scene(seed), 0.0)
     vehicles = vehicle_cuts(frame, truth, rng)
-    return vehicles, other_cuts(frame, truth, rng, max(6, len(vehicles)))
+    return frame, truth, (vehicles, other_cuts(frame, truth, rng, max(6, len(vehicles))))
 
 
 def write_training_images(arguments):
-    """Write vehicles/ and non-vehicles/, and say how many."""
+    """Write vehicles/, non-vehicles/ and the scenes they are from, and say how many."""
     seeds = range(arguments.seed + 1000, arguments.seed + 1000 + arguments.scenes)
-    counts = {"vehicles": 0, "non-vehicles": 0}
-    for images in in_parallel(scene_cuts, seeds, arguments.jobs, "training images"):
+    counts, rows = {"vehicles": 0, "non-vehicles": 0}, []
+    scenes = in_parallel(cut_scene, seeds, arguments.jobs, "training images")
+    for number, (frame, truth, images) in enumerate(scenes, start=1):
+        write_image(arguments.out / "scenes" / f"{number:05d}.jpg", frame)
+        rows += truth_rows(number, truth)
         for folder, cuts in zip(counts, images, strict=True):
             for image in cuts:
                 path = arguments.out / folder / f"{counts[folder]:05d}.png"
                 write_image(path, image)
                 counts[folder] += 1
+    write_whole(arguments.out / "scenes.gt.txt", "".join(rows))
     print(", ".join(f"{count} {folder}" for folder, count in counts.items()))
 
 

@@ -6,8 +6,8 @@ import pytest
 from classifier import load_classifier
 from conftest import ROOT
 from pipeline_functions import SearchParams, find_cars
-from render import BODIES, Actor, make_world, render
-from sample_data import driving_world, random_scene, scene_cuts, truth_rows
+from render import BODIES, Actor, Camera, make_world, render
+from sample_data import cut_scene, driving_world, random_scene, truth_rows
 
 
 def test_same_seed_same_frame():
@@ -48,6 +48,20 @@ def test_nearer_vehicle_hides_the_one_behind():
     assert not boxes[1].required and boxes[1].visible < 0.2
 
 
+def test_what_lies_further_aside_is_seen_further_aside():
+    # The distortion's polynomial turns back at a tangent of about 1.2.
+    aside = np.linspace(0, 40, 400)
+    points = np.stack([aside, np.zeros_like(aside), np.full_like(aside, 4.0)], axis=1)
+    assert (np.diff(Camera().project(points)[:, 0]) > -1e-9).all()
+
+
+def test_a_vehicle_beside_the_camera_is_boxed_where_it_is_seen():
+    # Half of it lies behind the camera, where the distortion's polynomial has turned back.
+    truth = render(driving_world(0), 73 / 25)[1]
+    (box,) = [box for box in truth if box.identity == 1]
+    assert box.box[0] > 1000 and not box.required
+
+
 def test_vehicle_grows_smaller_as_it_drives_away():
     world = make_world(2, [Actor(1, "suv", (0.5, 0.1, 0.1), 15, 10.0, 1)])
     heights = []
@@ -76,7 +90,7 @@ def test_driving_world_has_overtaking_and_oncoming_traffic():
 
 
 def test_training_images_have_both_classes():
-    vehicles, others = scene_cuts(21)
+    _, _, (vehicles, others) = cut_scene(21)
     assert len(vehicles) >= 2 and len(others) >= 6
     assert {img.shape for img in vehicles + others} == {(64, 64, 3)}
 
