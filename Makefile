@@ -8,6 +8,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 SAMPLE := output/sample
+DETECTOR ?= param/detector.npz
 PARAM ?= param/svc_pickle.p
 PRESET ?= G
 REAL := ../shared
@@ -33,13 +34,16 @@ output/calib.p: $(SAMPLE)/rendered
 output/svc_pickle.p: $(SAMPLE)/rendered
 	$(BIN)/python train.py $(SAMPLE)/vehicles $(SAMPLE)/non-vehicles --out $@
 
-notebooks: output/svc_pickle.p output/calib.p
+output/detector.npz: $(SAMPLE)/rendered
+	$(BIN)/python train_detector.py --footage $(SAMPLE)/scenes $(SAMPLE)/scenes.gt.txt --out $@
+
+notebooks: output/svc_pickle.p output/detector.npz output/calib.p
 	$(BIN)/papermill image_pipeline.ipynb output/image_pipeline.ipynb \
 		-p test_images $(SAMPLE)/test_images -p chessboards $(SAMPLE)/camera_cal \
-		-p param output/svc_pickle.p -p calib output/calib.p
+		-p param output/svc_pickle.p -p detector output/detector.npz -p calib output/calib.p
 	$(BIN)/papermill video_pipeline.ipynb output/video_pipeline.ipynb \
-		-p video $(SAMPLE)/videos/drive.mp4 -p output output \
-		-p param output/svc_pickle.p -p calib output/calib.p
+		-p video $(SAMPLE)/videos/drive.mp4 -p truth $(SAMPLE)/videos/drive.gt.txt -p output output \
+		-p param output/svc_pickle.p -p detector output/detector.npz -p calib output/calib.p
 	@echo 'Look at output/drive.mp4, output/drive_split.mp4 and the notebooks in output/.'
 
 test: .venv/installed
@@ -55,7 +59,7 @@ lint: .venv/installed
 
 video: .venv/installed
 	@test -n "$(VIDEO)" || { echo 'error: which video? make video VIDEO=path/to/drive.mp4'; exit 1; }
-	$(BIN)/python detect.py "$(VIDEO)" --out output --param $(PARAM)
+	$(BIN)/python detect.py "$(VIDEO)" --out output --param $(DETECTOR)
 
 train: .venv/installed
 	@test -n "$(DATA)" || { echo 'error: which data? make train DATA=path/to/folder'; exit 1; }
@@ -67,7 +71,7 @@ evaluate: .venv/installed
 	$(BIN)/python evaluate.py $(SAMPLE)/videos/drive.gt.txt output/drive.txt \
 		--picture output/drive_evaluation.png
 	@if [ -f $(REAL)/truth/project_video.gt.txt ]; then \
-		$(BIN)/python detect.py $(REAL)/udacity/project_video.mp4 --out output --param $(PARAM) && \
+		$(BIN)/python detect.py $(REAL)/udacity/project_video.mp4 --out output --param $(DETECTOR) && \
 		for frames in 1:630 631:1260; do \
 			echo "project_video.mp4, frames $$frames"; \
 			$(BIN)/python evaluate.py $(REAL)/truth/project_video.gt.txt \

@@ -29,7 +29,9 @@ from sklearn.svm import LinearSVC
 from classifier import load_classifier
 from dense_hog import hog_blocks
 from detect import annotate_video
+from detector import COLOR, keep_wholes, level_groups, look_closer, propose
 from files import find_images, read_image, written_whole
+from heat_vehicle import HeatVehicle
 from pipeline_functions import (
     FEATURE_PRESETS,
     SEARCH_PRESETS,
@@ -92,7 +94,7 @@ def resized_bands(frame, search):
 
 def stages(frames, paths):
     """Milliseconds a frame of every stage, one after the other."""
-    vehicle = Vehicle(*paths)
+    vehicle = HeatVehicle(*paths[:2])
     classifier, search = vehicle.classifier, vehicle.search
     params, frame = classifier.params, frames[0]
     bands = list(resized_bands(frame, search))
@@ -118,23 +120,47 @@ def stages(frames, paths):
     return {name: milliseconds(call, 25) for name, call in calls.items()}
 
 
+def stages_of_two(frames, paths):
+    """Milliseconds a frame of every stage of the two-stage detector."""
+    vehicle = Vehicle(None, paths[2])
+    for frame in frames[-20:]:
+        detections = vehicle.detect(frame)
+    scan, learned = vehicle.scan, vehicle.detector
+    img = convert_color(frame, COLOR)
+    groups = cycle(level_groups(img.shape[:2], scan))
+    candidates, scores = detections.candidates, detections.candidate_scores
+    calls = {
+        "colour": lambda: convert_color(frame, COLOR),
+        "first stage": lambda: propose(img, next(groups), learned.templates, scan),
+        "closer look": lambda: look_closer(img, detections.proposals, learned),
+        "rivals": lambda: keep_wholes(candidates, scores),
+    }
+    return {name: milliseconds(call, 40) for name, call in calls.items()}
+
+
 def detector(frames, paths):
     """Whole detector against the published way of doing all of it, milliseconds a frame."""
-    vehicle = Vehicle(None, paths[1])
+    vehicle = HeatVehicle(None, paths[1])
     slow = reference.Detector(vehicle.classifier, vehicle.search, vehicle.heat_filter)
     for frame in frames[:15]:
         hot = vehicle.detect(frame).hot_windows
         slow.heatmaps.append(reference.heatmap_of(hot, frame.shape))
+    two_stages = Vehicle(None, paths[2])
     upcoming = cycle(frames)
     times = alternately(
         {
             "detector": lambda: [vehicle.detect(next(upcoming)) for _ in range(20)],
+            "two stages": lambda: [two_stages.detect(next(upcoming)) for _ in range(20)],
             "reference": lambda: slow.detect(next(upcoming)),
         },
         rounds=7,
     )
     times["detector"] /= 20
-    return times | {"ratio": times["reference"] / times["detector"]}
+    times["two stages"] /= 20
+    return times | {
+        "ratio": times["reference"] / times["detector"],
+        "ratio, two stages": times["reference"] / times["two stages"],
+    }
 
 
 # --------------------------------------------------------------- whole jobs
@@ -142,13 +168,17 @@ def detector(frames, paths):
 
 def video_job(clip, paths, folder, preset="ultrafast"):
     """Annotating a video against copying it with moviepy, milliseconds a frame."""
-    vehicle = Vehicle(None, paths[1])
-    sparing = Vehicle(None, paths[1], replace(SEARCH_PRESETS["G"], scan_every=3))
+    vehicle = HeatVehicle(None, paths[1])
+    sparing = HeatVehicle(None, paths[1], replace(SEARCH_PRESETS["G"], scan_every=3))
+    two_stages = Vehicle(None, paths[2])
     times = alternately(
         {
             "video job": lambda: annotate_video(clip, folder / "job", vehicle, preset=preset),
             "video job, scan every 3": lambda: annotate_video(
                 clip, folder / "job", sparing, preset=preset
+            ),
+            "video job, two stages": lambda: annotate_video(
+                clip, folder / "job", two_stages, preset=preset
             ),
             "plain copy": lambda: copy_video(clip, folder / "copy.mp4", preset),
         },
@@ -159,6 +189,7 @@ def video_job(clip, paths, folder, preset="ultrafast"):
     return times | {
         "ratio": times["video job"] / times["plain copy"],
         "ratio, scan every 3": times["video job, scan every 3"] / times["plain copy"],
+        "ratio, two stages": times["video job, two stages"] / times["plain copy"],
         "frames a second": 1000 / times["video job"],
     }
 
@@ -206,8 +237,8 @@ _PEAK = """
 import re, sys
 from pathlib import Path
 from detect import annotate_video
-from vehicle import Vehicle
-annotate_video(Path(sys.argv[1]), Path(sys.argv[2]), Vehicle(None, sys.argv[3]))
+from heat_vehicle import HeatVehicle
+annotate_video(Path(sys.argv[1]), Path(sys.argv[2]), HeatVehicle(None, sys.argv[3]))
 # Not getrusage: its peak includes that of the process this one was forked from.
 print(int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1]) / 1024)
 """
@@ -253,7 +284,7 @@ def growth(frames, paths):
         by_windows[n_windows] = milliseconds(
             lambda s=other: find_cars(frames[0], classifier, s), 15
         )
-    vehicle = Vehicle(None, paths[1])
+    vehicle = HeatVehicle(None, paths[1])
     for count in (10, 30, 100):
         vehicle.reset()
         by_frames[count] = _once(
@@ -282,12 +313,13 @@ def first_frames(video):
 
 def measure(arguments, folder):
     """Every figure, as a dict of dicts."""
-    paths = arguments.calib.resolve(), arguments.param.resolve()
+    paths = [p.resolve() for p in (arguments.calib, arguments.param, arguments.detector)]
     info = video_info(arguments.video)
     frames = first_frames(arguments.video)
     clip = write_clip(folder / "clip.mp4", frames, info, arguments.frames)
     figures = {
         "milliseconds a frame, by stage": stages(frames, paths),
+        "milliseconds a frame, two stages": stages_of_two(frames, paths),
         "milliseconds a frame, detector": detector(frames, paths),
         "milliseconds a frame, video": video_job(clip, paths, folder),
         "peak memory of the video job, MB": peak_memory(
@@ -311,6 +343,7 @@ def main():
         "--data", type=Path, help="folder with vehicles/ and non-vehicles/: also time training"
     )
     parser.add_argument("--param", type=Path, default=Path("param/svc_pickle.p"))
+    parser.add_argument("--detector", type=Path, default=Path("param/detector.npz"))
     parser.add_argument("--calib", type=Path, default=Path("param/calib.p"))
     parser.add_argument("--out", type=Path, default=Path("output"), help="for the figure")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")

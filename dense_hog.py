@@ -37,8 +37,8 @@ _A1, _A3, _A5, _A7, _A9 = (
 )
 
 # Compiled code runs outside the interpreter's lock, so threads share large images.
-_N_CORES = os.cpu_count()
-_THREADS = ThreadPoolExecutor(_N_CORES)
+N_CORES = os.cpu_count()
+THREADS = ThreadPoolExecutor(N_CORES)
 _WORTH_A_THREAD = 100_000
 
 _UNSETTLED = np.int32(-1)
@@ -88,9 +88,9 @@ def _cell_histograms(img, orientations, pix_per_cell):
         if n_unsettled:
             _vote_exactly(img, pix_per_cell, histograms, unsettled[:n_unsettled])
 
-    n_parts = min(_N_CORES, 1 + img.size // _WORTH_A_THREAD)
+    n_parts = min(N_CORES, 1 + img.size // _WORTH_A_THREAD)
     edges = [cell_rows * i // n_parts for i in range(n_parts + 1)]
-    others = [_THREADS.submit(vote, *part) for part in pairwise(edges[1:])]
+    others = [THREADS.submit(vote, *part) for part in pairwise(edges[1:])]
     vote(*edges[:2])
     for other in others:
         other.result()

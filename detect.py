@@ -19,8 +19,9 @@ from files import (
     write_image,
     write_whole,
 )
+from heat_vehicle import FILTER_PRESETS, HeatVehicle
 from pipeline_functions import SEARCH_PRESETS
-from vehicle import FILTER_PRESETS, Vehicle
+from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
 from video import ENCODER_PRESETS, read_frames, video_info, video_writer
 
 
@@ -182,27 +183,21 @@ def share(text):
 
 
 def add_search_options(parser):
-    """Options that say where windows lie and which heat lasts."""
-    parser.add_argument(
-        "--filter",
-        choices=("G", "B"),
-        default="G",
-        help="temporal filter of write-up G or B, for videos",
+    """Options of the way of the write-ups."""
+    group = parser.add_argument_group("the write-ups' way", "only with --filter G or B")
+    group.add_argument(
+        "--search", choices=SEARCH_PRESETS, help="scales and bands of write-up G, the default, or B"
     )
-    parser.add_argument(
-        "--search", choices=SEARCH_PRESETS, default="G", help="scales and bands of write-up G or B"
-    )
-    parser.add_argument(
+    group.add_argument(
         "--horizon",
         type=share,
         metavar="SHARE",
         help="where the road vanishes, as a share of the picture's height (0.57, say): visit "
         "only windows that could frame a vehicle on the road",
     )
-    parser.add_argument(
+    group.add_argument(
         "--scan-every",
         type=int,
-        default=1,
         metavar="N",
         help="visit all windows in every Nth frame, in others only those near known vehicles",
     )
@@ -218,7 +213,16 @@ def parse_arguments(arguments=None):
     parser.add_argument("inputs", nargs="+", type=Path, help="images, folders of them, videos")
     parser.add_argument("--out", type=Path, required=True, help="folder to write to")
     parser.add_argument(
-        "--param", type=Path, default=Path("param/svc_pickle.p"), help="from train.py"
+        "--filter",
+        choices=("tracks", "G", "B"),
+        default="tracks",
+        help="tracks: the two-stage detector; G, B: search and temporal filter of a write-up",
+    )
+    parser.add_argument(
+        "--param",
+        type=Path,
+        help="from train_detector.py (default: param/detector.npz) or, with --filter G or B, "
+        "from train.py (default: param/svc_pickle.p)",
     )
     parser.add_argument(
         "--calib", type=Path, help="from calibrate.py; pictures are then drawn undistorted"
@@ -238,11 +242,38 @@ def parse_arguments(arguments=None):
 
 def chosen_search(arguments):
     """The preset search, with what the command line changes of it."""
-    search = SEARCH_PRESETS[arguments.search]
-    horizon = arguments.horizon
-    if horizon is not None:
-        horizon *= search.reference_size[1]
-    return replace(search, horizon=horizon, scan_every=arguments.scan_every)
+    search = SEARCH_PRESETS[arguments.search or "G"]
+    if arguments.horizon is not None:
+        search = replace(search, horizon=arguments.horizon * search.reference_size[1])
+    if arguments.scan_every is not None:
+        search = replace(search, scan_every=arguments.scan_every)
+    return search
+
+
+def open_vehicle(arguments, is_still):
+    """The detector that the command line asks for.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        See `parse_arguments`.
+    is_still : bool
+        For pictures on their own instead of a video.
+
+    Raises
+    ------
+    ValueError
+        An option does not go with the filter.
+    """
+    if arguments.filter == "tracks":
+        for name in ("search", "horizon", "scan_every"):
+            if getattr(arguments, name) is not None:
+                raise ValueError(f"--{name.replace('_', '-')} goes with --filter G or B only")
+        paths = arguments.calib, arguments.param or Path("param/detector.npz")
+        return Vehicle(*paths, STILL_SCAN, STILL_TRACKS) if is_still else Vehicle(*paths)
+    paths = arguments.calib, arguments.param or Path("param/svc_pickle.p")
+    heat_filter = FILTER_PRESETS["still" if is_still else arguments.filter]
+    return HeatVehicle(*paths, chosen_search(arguments), heat_filter)
 
 
 def main():
@@ -251,14 +282,12 @@ def main():
     try:
         images, videos = gather_inputs(arguments.inputs)
         require_free_names(images, videos, arguments.out)
-        paths = arguments.calib, arguments.param
         if images:
-            still = Vehicle(*paths, chosen_search(arguments), FILTER_PRESETS["still"])
+            still = open_vehicle(arguments, is_still=True)
             for path in tqdm(images, "images", unit="image"):
                 annotate_image(path, arguments.out, still)
         for path in videos:
-            heat_filter = FILTER_PRESETS[arguments.filter]
-            vehicle = Vehicle(*paths, chosen_search(arguments), heat_filter)
+            vehicle = open_vehicle(arguments, is_still=False)
             annotate_video(path, arguments.out, vehicle, arguments.split_screen, arguments.preset)
     except (OSError, ValueError) as error:
         sys.exit(f"error: {error}")

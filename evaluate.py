@@ -304,6 +304,31 @@ def precision_recall(truth, detections, iou_threshold=0.5, steps=40):
     return thresholds, precision, recall
 
 
+def errors_by_frame(truth, detections, frames, iou_threshold=0.5):
+    """Misses and false positives of every frame.
+
+    Parameters
+    ----------
+    truth, detections : Rows
+    frames : range
+    iou_threshold : float
+
+    Returns
+    -------
+    misses, false_positives : ndarray of int, shape (len(frames),)
+    """
+    truth, detections = truth.within(frames), detections.within(frames)
+    required, counted = truth.only(truth.scores == 1), forgive(truth, detections, iou_threshold)
+    errors = []
+    for frame in frames:
+        wanted = required.boxes[required.frames == frame]
+        found = counted.boxes[counted.frames == frame]
+        n_matched = len(match(wanted, found, iou_threshold)[0])
+        errors.append((len(wanted) - n_matched, len(found) - n_matched))
+    misses, false_positives = np.array(errors).T
+    return misses, false_positives
+
+
 def draw_evaluation(truth, detections, frames, iou_threshold=0.5):
     """Figure with the precision-recall curve and a timeline of errors over a range of frames.
 
@@ -318,14 +343,7 @@ def draw_evaluation(truth, detections, frames, iou_threshold=0.5):
     _, precision, recall = precision_recall(truth, detections, iou_threshold)
     curve.plot(recall, precision, marker=".")
     curve.set(xlabel="recall", ylabel="precision", xlim=(0, 1.02), ylim=(0, 1.02))
-    required, counted = truth.only(truth.scores == 1), forgive(truth, detections, iou_threshold)
-    misses, alarms = [], []
-    for frame in frames:
-        wanted = required.boxes[required.frames == frame]
-        found = counted.boxes[counted.frames == frame]
-        n_matched = len(match(wanted, found, iou_threshold)[0])
-        misses.append(len(wanted) - n_matched)
-        alarms.append(len(found) - n_matched)
+    misses, alarms = errors_by_frame(truth, detections, frames, iou_threshold)
     timeline.fill_between(frames, misses, step="mid", color="tab:orange", label="missed")
     timeline.fill_between(
         frames, -np.array(alarms), step="mid", color="tab:red", label="false positives"

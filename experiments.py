@@ -32,10 +32,10 @@ from tqdm import tqdm
 from classifier import Classifier, save_classifier
 from evaluate import evaluate, read_rows, rows_of
 from files import find_images, write_whole, written_whole
+from heat_vehicle import HeatVehicle
 from pipeline_functions import SEARCH_PRESETS, FeatureParams, SearchParams, extract_features
 from train import fit_linear, fit_searched
 from training_images import read_window
-from vehicle import Vehicle
 from video import read_frames
 
 SEEDS = (0, 1, 2)
@@ -214,7 +214,7 @@ def judge_detector(classifier, video, truth, frames):
     search = SearchParams(SEARCH_PRESETS["G"].bands, cells_per_step)
     with tempfile.TemporaryDirectory() as folder:
         save_classifier(classifier, Path(folder) / "svc.p")
-        vehicle = Vehicle(None, Path(folder) / "svc.p", search)
+        vehicle = HeatVehicle(None, Path(folder) / "svc.p", search)
     boxes = [vehicle.detect(frame).boxes for frame in islice(read_frames(video), frames)]
     figures = evaluate(read_rows(truth), rows_of(boxes), range(1, frames + 1))
     return {

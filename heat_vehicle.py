@@ -1,4 +1,4 @@
-"""The detector with a memory: frames in, vehicles that last out."""
+"""The write-ups' way with a memory: heat of the last frames in, vehicles that last out."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-import calibrate
 from classifier import load_classifier
 from pipeline_functions import (
     SEARCH_PRESETS,
@@ -20,7 +19,8 @@ from pipeline_functions import (
     keep_lasting_heat,
     slide_window,
 )
-from tracks import DEFAULT_TRACKS, Tracker
+from tracks import HEAT_TRACKS
+from vehicle import Vehicle
 
 # Hot windows on one place that the pictures of heat show at their brightest.
 _HEAT_FULL_SCALE = 8
@@ -59,7 +59,7 @@ FILTER_PRESETS = {
 
 
 @dataclass(frozen=True)
-class Detections:
+class HeatDetections:
     """What was found in one frame, step by step.
 
     Attributes
@@ -86,17 +86,13 @@ class Detections:
     ids: np.ndarray
 
 
-class Vehicle:
-    """Finds vehicles in the frames of one video, handed over in order.
-
-    Frames are searched as the camera gave them. A calibration straightens
-    only the picture that is drawn: undistorting before the search would cut
-    off vehicles that enter at the border.
+class HeatVehicle(Vehicle):
+    """Finds vehicles as write-ups G and B do: windows, heat, what lasts.
 
     Parameters
     ----------
     path_calib : path or None
-        Calibration of `calibrate.py`; None draws on the frame as it is.
+        See `Vehicle`.
     path_param : path
         Classifier of `train.py`.
     search : SearchParams
@@ -105,26 +101,19 @@ class Vehicle:
         How boxes of one frame find their vehicles in the next.
     """
 
+    titles = ("hot windows", "heat of this frame", "heat that lasts", "vehicles")
+
     def __init__(
         self,
         path_calib=None,
         path_param="param/svc_pickle.p",
         search=SEARCH_PRESETS["G"],
         heat_filter=FILTER_PRESETS["G"],
-        track_params=DEFAULT_TRACKS,
+        track_params=HEAT_TRACKS,
     ):
-        self.calibration = None
-        if path_calib is not None:
-            self.load_calibration(path_calib)
         self.search = search
         self.heat_filter = heat_filter
-        self.track_params = track_params
-        self.load_param_detect(path_param)
-
-    def load_calibration(self, path):
-        """Read a calibration, see `calibrate.load_calibration`."""
-        self.calibration = calibrate.load_calibration(path)
-        self._maps = {}
+        super().__init__(path_calib, path_param, track_params=track_params)
 
     def load_param_detect(self, path):
         """Read a classifier, see `classifier.load_classifier`; forgets all frames."""
@@ -133,28 +122,12 @@ class Vehicle:
 
     def reset(self):
         """Forget all frames: the next one begins another video."""
+        super().reset()
         self._grid = None
-        self._frame_shape = None
-        self._n_frames = 0
         # Where a close search looks: what may become a vehicle counts too, or
         # nothing would ever last long enough to become one.
         self._warm_places = None
         self._heatmaps = deque(maxlen=self.heat_filter.n_acc)
-        self._tracker = Tracker(self.track_params)
-
-    def process_image(self, rgb_frame):
-        """The next frame of the video, its vehicles boxed in colours of their own.
-
-        Parameters
-        ----------
-        rgb_frame : ndarray of uint8, shape (rows, columns, 3)
-
-        Returns
-        -------
-        rgb_frame : ndarray of uint8, shape (rows, columns, 3)
-            Undistorted if there is a calibration.
-        """
-        return self.draw(rgb_frame, self.detect(rgb_frame))
 
     def detect(self, rgb_frame):
         """Search the next frame of the video.
@@ -165,19 +138,17 @@ class Vehicle:
 
         Returns
         -------
-        detections : Detections
+        detections : HeatDetections
 
         Raises
         ------
         ValueError
             The frame is of another size than the one before.
         """
+        self._require_same_size(rgb_frame)
         if self._grid is None:
             windows = slide_window(rgb_frame.shape, self.classifier.params, self.search)
             self._grid = HeatGrid.of_windows(windows)
-            self._frame_shape = rgb_frame.shape
-        elif rgb_frame.shape != self._frame_shape:
-            raise ValueError(f"a frame of {rgb_frame.shape} after one of {self._frame_shape}")
         everywhere = self._n_frames % self.search.scan_every == 0
         windows, scores = find_cars(
             rgb_frame, self.classifier, self.search, None if everywhere else self._warm_places
@@ -195,7 +166,7 @@ class Vehicle:
 
         Returns
         -------
-        detections : Detections
+        detections : HeatDetections
         """
         heatmap = add_heat(self._grid.zeros(), self._grid.to_cells(hot_windows))
         self._heatmaps.append(heatmap)
@@ -204,12 +175,11 @@ class Vehicle:
         cells, scores = find_blobs(filtered)
         self._warm_places = self._grid.to_pixels(find_blobs(heatmap + filtered)[0])
         boxes = self._grid.to_pixels(cells)
-        ids = self._tracker.update(boxes)
-        return Detections(hot_windows, heatmap, filtered, self._grid, boxes, scores, ids)
-
-    def draw(self, rgb_frame, detections):
-        """Vehicles on the frame, then undistortion if there is a calibration."""
-        return self.undistort(draw_vehicles(rgb_frame, detections.boxes, detections.ids))
+        self._tracker.predict()
+        # What lasts needs no further evidence.
+        tracks = self._tracker.update(boxes, np.ones(len(boxes)))
+        ids = np.array([track.identity for track in tracks], int)
+        return HeatDetections(hot_windows, heatmap, filtered, self._grid, boxes, scores, ids)
 
     def step_pictures(self, rgb_frame, detections):
         """Hot windows, heat, heat that lasts and boxes, each drawn on the frame.
@@ -230,31 +200,6 @@ class Vehicle:
         ]
         return [self.undistort(picture) for picture in pictures]
 
-    def draw_split_screen(self, rgb_frame, detections):
-        """The four of `step_pictures` in one picture as large as the frame.
-
-        Returns
-        -------
-        picture : ndarray of uint8, shape (rows, columns, 3)
-        """
-        rows, columns = rgb_frame.shape[:2]
-        picture = np.zeros_like(rgb_frame)
-        quarter = columns // 2, rows // 2
-        titles = ["hot windows", "heat of this frame", "heat that lasts", "vehicles"]
-        for i, step in enumerate(self.step_pictures(rgb_frame, detections)):
-            tile = draw_title(cv2.resize(step, quarter, interpolation=cv2.INTER_AREA), titles[i])
-            top, left = i // 2 * quarter[1], i % 2 * quarter[0]
-            picture[top : top + quarter[1], left : left + quarter[0]] = tile
-        return picture
-
-    def undistort(self, rgb_frame):
-        """The frame as a pinhole camera would see it; as it is without calibration."""
-        if self.calibration is None:
-            return rgb_frame
-        if rgb_frame.shape not in self._maps:
-            self._maps[rgb_frame.shape] = self.calibration.maps(rgb_frame.shape)
-        return cv2.remap(rgb_frame, *self._maps[rgb_frame.shape], cv2.INTER_LINEAR)
-
 
 def draw_heat(img, heatmap, full_scale):
     """The image darkened, with heat glowing on it.
@@ -270,13 +215,3 @@ def draw_heat(img, heatmap, full_scale):
     level = np.clip(255 * heatmap / full_scale, 0, 255).astype(np.uint8)
     glow = cv2.applyColorMap(level, cv2.COLORMAP_HOT)[..., ::-1]
     return cv2.addWeighted(img, 0.4, glow, 0.9, 0)
-
-
-def draw_title(img, title):
-    """The image with a line of text at its top left."""
-    size = img.shape[0] / 500
-    place = round(20 * size), round(30 * size)
-    for color, shift in (((0, 0, 0), 1), ((255, 255, 255), 0)):
-        where = place[0] + shift, place[1] + shift
-        img = cv2.putText(img, title, where, cv2.FONT_HERSHEY_SIMPLEX, size, color, 1, cv2.LINE_AA)
-    return img

@@ -28,12 +28,21 @@ class TrackParams:
     measurement_noise, process_noise : float
         Standard deviations as shares of a vehicle's height: of a box's
         edges, and of the change of their velocity from frame to frame.
+    birth : float
+        Evidence, the sum of a track's scores, that makes it a vehicle.
+    most_evidence : float
+        No track gathers more, so that what has gone is soon let go.
+    miss_cost : float
+        Evidence that a frame without a box takes away.
     """
 
     min_iou: float = 0.2
     max_missed: int = 50
     measurement_noise: float = 0.1
     process_noise: float = 0.01
+    birth: float = 0.0
+    most_evidence: float = 1.0
+    miss_cost: float = 1.0
 
     def __post_init__(self):
         if not 0 < self.min_iou < 1:
@@ -42,24 +51,39 @@ class TrackParams:
             raise ValueError("max_missed starts at 0")
         if min(self.measurement_noise, self.process_noise) <= 0:
             raise ValueError("noise is above 0")
+        if not 0 <= self.birth <= self.most_evidence:
+            raise ValueError(f"birth {self.birth} lies outside 0..{self.most_evidence}")
+        if self.miss_cost <= 0:
+            raise ValueError("miss_cost is above 0")
 
 
-DEFAULT_TRACKS = TrackParams()
+# Boxes that come from heat have lasted already.
+HEAT_TRACKS = TrackParams()
 
 
 class Track:
-    """One vehicle over time.
+    """One vehicle, or what may become one, over time.
 
     Attributes
     ----------
     identity : int
+        From 1; 0 until there was evidence enough.
+    is_shown : bool
+        There is evidence enough, now.
+    evidence : float
     n_missed : int
         Frames since its last box.
+    box : ndarray of float, shape (4,)
+        Where it is, or is expected in this frame.
     """
 
-    def __init__(self, identity, box, params):
-        self.identity = identity
+    def __init__(self, box, score, params):
+        self.identity = 0
+        self.is_shown = False
+        self.evidence = 0.0
         self.n_missed = 0
+        self.box = np.asarray(box, float)
+        self._params = params
         height = box[3] - box[1]
         # State: four edges, then their velocities in pixels a frame.
         self._filter = cv2.KalmanFilter(8, 4, 0, cv2.CV_64F)
@@ -73,16 +97,30 @@ class Track:
             np.diag([1.0] * 4 + [0.1] * 4) * (params.measurement_noise * height) ** 2
         )
         self._filter.statePost = np.concatenate([box, np.zeros(4)])[:, None].astype(float)
+        self._weigh(score)
 
     def predict(self):
-        """One frame on; returns the box expected there, ndarray of float, shape (4,)."""
+        """One frame on: `box` is where the vehicle is expected."""
         self.n_missed += 1
-        return self._filter.predict()[:4, 0].copy()
+        self.box = self._filter.predict()[:4, 0].copy()
 
-    def correct(self, box):
-        """Take in the box of this frame."""
+    def correct(self, box, score):
+        """Take in the box of this frame, and what it says."""
         self.n_missed = 0
-        self._filter.correct(np.asarray(box, float)[:, None])
+        self.box = self._filter.correct(np.asarray(box, float)[:, None])[:4, 0].copy()
+        self._weigh(score)
+
+    def miss(self):
+        """There is no box in this frame."""
+        self._weigh(-self._params.miss_cost)
+
+    def _weigh(self, score):
+        self.evidence = min(self.evidence + score, self._params.most_evidence)
+        if self.evidence < 0:
+            self.is_shown = False
+            self.evidence = 0.0
+        elif self.evidence >= self._params.birth:
+            self.is_shown = True
 
 
 def pairwise_overlap(boxes, others):
@@ -105,7 +143,7 @@ def _areas(boxes):
 
 
 class Tracker:
-    """All tracks of one video.
+    """All tracks of one video: `predict`, then `update`, frame by frame.
 
     Parameters
     ----------
@@ -117,35 +155,74 @@ class Tracker:
         self._tracks = []
         self._n_identities = 0
 
-    def update(self, boxes):
-        """Whose the boxes of the next frame are.
+    def predict(self):
+        """Move all tracks one frame on.
+
+        Returns
+        -------
+        boxes : ndarray of float, shape (n, 4)
+            Where those are expected that had a box in the frame before.
+        """
+        for track in self._tracks:
+            track.predict()
+        followed = [track.box for track in self._tracks if track.n_missed == 1]
+        return np.array(followed).reshape(-1, 4)
+
+    def update(self, boxes, scores):
+        """Whose the boxes of this frame are.
 
         Parameters
         ----------
         boxes : ndarray, shape (n, 4)
+        scores : ndarray, shape (n,)
+            Positive for vehicles.
 
         Returns
         -------
-        ids : ndarray of int, shape (n,)
-            From 1, constant per vehicle, each at most once.
+        tracks : list of Track or None
+            The track of each box, each at most once; None for a box of no
+            track that does not begin one, for its score is not positive.
         """
-        predictions = np.array([track.predict() for track in self._tracks]).reshape(-1, 4)
-        owners = self._assign(boxes, predictions)
-        for box, owner in zip(boxes, owners, strict=True):
-            if owner.n_missed:
-                owner.correct(box)
-        self._tracks = [t for t in self._tracks if t.n_missed <= self.params.max_missed]
-        return np.array([owner.identity for owner in owners], int)
+        owners = self._assign(boxes)
+        for i, (box, score) in enumerate(zip(boxes, scores, strict=True)):
+            if score <= 0 and owners[i] is not None and not owners[i].is_shown:
+                # Ground that happens to lie where a hidden vehicle is expected.
+                owners[i] = None
+            elif owners[i] is not None:
+                owners[i].correct(box, score)
+            elif score > 0:
+                owners[i] = Track(box, float(score), self.params)
+                self._tracks.append(owners[i])
+        for track in self._tracks:
+            if track.n_missed:
+                track.miss()
+            if track.is_shown and not track.identity:
+                self._n_identities += 1
+                track.identity = self._n_identities
+        self._tracks = [track for track in self._tracks if self._is_kept(track)]
+        return owners
 
-    def _assign(self, boxes, predictions):
-        """Track of every box, so that the overlap of all together is largest; new ones begin."""
-        iou = pairwise_iou(boxes, predictions)
-        gain = np.where(iou >= self.params.min_iou, iou, 0)
-        pairs = zip(*linear_sum_assignment(gain, maximize=True), strict=True)
-        known = {row: self._tracks[column] for row, column in pairs if gain[row, column] > 0}
-        return [known.get(row) or self._begin(box) for row, box in enumerate(boxes)]
+    def _assign(self, boxes):
+        """Known track of every box or None.
 
-    def _begin(self, box):
-        self._n_identities += 1
-        self._tracks.append(Track(self._n_identities, box, self.params))
-        return self._tracks[-1]
+        Vehicles seen in the frame before choose first, then those out of
+        sight, then what is not yet a vehicle; among each, so that the overlap
+        of all together is largest.
+        """
+        owners = [None] * len(boxes)
+        ranks = [(track.identity == 0, track.n_missed > 1) for track in self._tracks]
+        for rank in sorted(set(ranks)):
+            tracks = [t for t, own in zip(self._tracks, ranks, strict=True) if own == rank]
+            free = [i for i, owner in enumerate(owners) if owner is None]
+            iou = pairwise_iou(boxes[free], np.array([track.box for track in tracks]))
+            gain = np.where(iou >= self.params.min_iou, iou, 0)
+            for row, column in zip(*linear_sum_assignment(gain, maximize=True), strict=True):
+                if gain[row, column] > 0:
+                    owners[free[row]] = tracks[column]
+        return owners
+
+    def _is_kept(self, track):
+        """What was a vehicle may come back for a while; what never was one must go on growing."""
+        if track.identity:
+            return track.n_missed <= self.params.max_missed
+        return track.evidence > 0

@@ -9,6 +9,17 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC, LinearSVC
 
 from classifier import Classifier
+from detector import (
+    CELL_FEATURES,
+    PATCH_CELLS,
+    PATCH_FEATURES,
+    PATCH_MARGIN,
+    WINDOW_COLUMNS,
+    WINDOW_ROWS,
+    Detector,
+    KernelMachine,
+    Template,
+)
 from pipeline_functions import FEATURE_PRESETS
 
 ROOT = Path(__file__).parent.parent
@@ -48,3 +59,28 @@ def random_classifier(params, seed=0, kernel="linear"):
 def classifier_g():
     """A classifier of preset G with random weights."""
     return random_classifier(FEATURE_PRESETS["G"])
+
+
+def random_detector(seed):
+    """A two-stage detector with random weights, whose scores lie on both sides of zero."""
+    rng = np.random.default_rng(seed)
+
+    def machine(n_cells, n_outputs, size):
+        arrays = [
+            rng.normal(0, scale, shape).astype(np.float32)
+            for scale, shape in (
+                (0.05, (n_cells * PATCH_FEATURES, 20)),
+                (0.1, 20),
+                (0.5, (30, 20)),
+                (size, (30, n_outputs)),
+                (0.01, n_outputs),
+            )
+        ]
+        return KernelMachine(*arrays, gamma=0.1)
+
+    templates = tuple(
+        Template(rng.normal(0, 0.05, (WINDOW_ROWS, columns, CELL_FEATURES)).astype(np.float32), 0.0)
+        for columns in WINDOW_COLUMNS
+    )
+    whole = (PATCH_CELLS + 2 * PATCH_MARGIN) ** 2
+    return Detector(templates, machine(PATCH_CELLS**2, 1, 1.0), machine(whole, 4, 0.02))

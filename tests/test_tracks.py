@@ -17,6 +17,12 @@ def boxes(*rows):
     return np.array(rows, int).reshape(-1, 4)
 
 
+def step(tracker, of_frame):
+    """Identities of boxes that are all vehicles for sure."""
+    tracker.predict()
+    return [track.identity for track in tracker.update(of_frame, np.ones(len(of_frame)))]
+
+
 def test_iou_of_known_boxes():
     a, b = boxes((0, 0, 10, 10)), boxes((5, 0, 15, 10), (20, 20, 30, 30), (0, 0, 10, 10))
     np.testing.assert_allclose(pairwise_iou(a, b), [[50 / 150, 0, 1]])
@@ -24,46 +30,46 @@ def test_iou_of_known_boxes():
 
 def test_two_vehicles_keep_their_identities_whatever_the_order():
     tracker = Tracker(TrackParams())
-    first = tracker.update(boxes(box_at(100), box_at(400)))
-    assert first.tolist() == [1, 2]
+    first = step(tracker, boxes(box_at(100), box_at(400)))
+    assert first == [1, 2]
     for i in range(1, 30):
         near, far = box_at(100 + 4 * i), box_at(400 - 3 * i)
-        assert tracker.update(boxes(far, near)).tolist() == [2, 1]
+        assert step(tracker, boxes(far, near)) == [2, 1]
 
 
 def test_a_vehicle_out_of_sight_is_known_again_where_its_speed_takes_it():
     tracker = Tracker(TrackParams(max_missed=30))
     for i in range(20):
-        tracker.update(boxes(box_at(100 + 5 * i)))
+        step(tracker, boxes(box_at(100 + 5 * i)))
     for _ in range(30):
-        assert tracker.update(boxes()).tolist() == []
-    assert tracker.update(boxes(box_at(100 + 5 * 50))).tolist() == [1]
+        assert step(tracker, boxes()) == []
+    assert step(tracker, boxes(box_at(100 + 5 * 50))) == [1]
     # 155 pixels, more than twice its width, from where it was last seen.
     assert pairwise_iou(boxes(box_at(350)), boxes(box_at(195)))[0, 0] == 0
 
 
 def test_a_vehicle_away_for_too_long_is_another():
     tracker = Tracker(TrackParams(max_missed=3))
-    tracker.update(boxes(box_at(100)))
+    step(tracker, boxes(box_at(100)))
     for _ in range(3):
-        tracker.update(boxes())
-    assert tracker.update(boxes(box_at(100))).tolist() == [1]
+        step(tracker, boxes())
+    assert step(tracker, boxes(box_at(100))) == [1]
     for _ in range(4):
-        tracker.update(boxes())
-    assert tracker.update(boxes(box_at(100))).tolist() == [2]
+        step(tracker, boxes())
+    assert step(tracker, boxes(box_at(100))) == [2]
 
 
 def test_a_box_elsewhere_is_another_vehicle():
     tracker = Tracker(TrackParams())
-    tracker.update(boxes(box_at(100)))
-    assert tracker.update(boxes(box_at(155))).tolist() == [2]
+    step(tracker, boxes(box_at(100)))
+    assert step(tracker, boxes(box_at(155))) == [2]
 
 
 def test_all_together_overlap_most():
     # Taken one by one, best first, the first box would take the second's track.
     tracker = Tracker(TrackParams(min_iou=0.05))
-    tracker.update(boxes((0, 0, 100, 50), (60, 0, 160, 50)))
-    assert tracker.update(boxes((38, 0, 138, 50), (100, 0, 200, 50))).tolist() == [1, 2]
+    step(tracker, boxes((0, 0, 100, 50), (60, 0, 160, 50)))
+    assert step(tracker, boxes((38, 0, 138, 50), (100, 0, 200, 50))) == [1, 2]
 
 
 @given(st.lists(st.integers(0, 5), max_size=8), st.integers(0, 2**32 - 1))
@@ -73,15 +79,87 @@ def test_identities_are_unique_in_a_frame_and_begin_at_one(counts, seed):
     seen = set()
     for count in counts:
         corner = rng.integers(0, 200, size=(count, 2))
-        ids = tracker.update(np.hstack([corner, corner + rng.integers(1, 90, size=(count, 2))]))
-        assert len(ids) == count == len(set(ids.tolist()))
-        seen |= set(ids.tolist())
+        ids = step(tracker, np.hstack([corner, corner + rng.integers(1, 90, size=(count, 2))]))
+        assert len(ids) == count == len(set(ids))
+        seen |= set(ids)
     assert seen == set(range(1, len(seen) + 1))
+
+
+def shown(tracker, of_frame, score):
+    """Identity of the one box of a frame, None if it is not shown."""
+    tracker.predict()
+    (track,) = tracker.update(of_frame, np.array([score]))
+    return track.identity if track and track.is_shown else None
+
+
+def test_a_vehicle_is_shown_once_its_scores_add_up():
+    tracker = Tracker(TrackParams(birth=2.5, most_evidence=4))
+    scores = [0.8, 0.8, 0.8, 0.8, 0.8]
+    assert [shown(tracker, boxes(box_at(100)), s) for s in scores] == [None] * 3 + [1, 1]
+
+
+def test_evidence_is_capped_and_used_up():
+    tracker = Tracker(TrackParams(birth=2, most_evidence=3, miss_cost=1))
+    here = boxes(box_at(100))
+    for _ in range(10):
+        assert shown(tracker, here, 2.0) == 1
+    # Three of evidence last for three frames, and one to show that they are gone.
+    assert [shown(tracker, here, -1.0) for _ in range(4)] == [1, 1, 1, None]
+    # Back again it must be proved anew, and is the same vehicle.
+    assert [shown(tracker, here, 1.5) for _ in range(2)] == [None, 1]
+
+
+def test_frames_without_a_box_cost_evidence():
+    tracker = Tracker(TrackParams(birth=2, most_evidence=3, miss_cost=1.5))
+    here = boxes(box_at(100))
+    assert shown(tracker, here, 3.0) == 1
+    for _ in range(3):
+        step(tracker, boxes())
+    assert shown(tracker, here, 1.0) is None
+
+
+def test_what_never_was_a_vehicle_is_forgotten():
+    tracker = Tracker(TrackParams(birth=2, most_evidence=3))
+    for _ in range(20):
+        assert shown(tracker, boxes(box_at(100)), 0.5) is None
+        assert shown(tracker, boxes(box_at(100)), -0.6) is None
+    assert len(tracker.predict()) == 0
+
+
+def test_a_box_that_is_no_vehicle_begins_no_track():
+    tracker = Tracker(TrackParams())
+    assert tracker.update(boxes(box_at(100)), np.array([-0.1])) == [None]
+    assert len(tracker.predict()) == 0
+
+
+def test_a_hidden_vehicle_does_not_take_the_box_of_the_one_before_it():
+    tracker = Tracker(TrackParams(miss_cost=0.1))
+    for i in range(10):
+        step(tracker, boxes(box_at(90), box_at(300 - 20 * i)))
+    # For a frame there is only the first; then a box a little nearer to where
+    # the second was going.
+    assert step(tracker, boxes(box_at(90))) == [1]
+    assert step(tracker, boxes(box_at(84))) == [1]
+
+
+def test_expected_are_those_of_the_frame_before():
+    tracker = Tracker(TrackParams(miss_cost=0.1))
+    step(tracker, boxes(box_at(100), box_at(300)))
+    step(tracker, boxes(box_at(300)))
+    np.testing.assert_allclose(tracker.predict(), boxes(box_at(300)))
 
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"min_iou": 0}, {"min_iou": 1}, {"max_missed": -1}, {"process_noise": 0}],
+    [
+        {"min_iou": 0},
+        {"min_iou": 1},
+        {"max_missed": -1},
+        {"process_noise": 0},
+        {"birth": -1},
+        {"birth": 2, "most_evidence": 1},
+        {"miss_cost": 0},
+    ],
 )
 def test_track_params_refuse(wrong):
     with pytest.raises(ValueError):

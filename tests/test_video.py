@@ -14,6 +14,7 @@ from calibrate import Calibration, save_calibration
 from classifier import save_classifier
 from conftest import ROOT, random_classifier, textured_image
 from files import write_image
+from heat_vehicle import FILTER_PRESETS, FilterParams, HeatVehicle
 from pipeline_functions import (
     FEATURE_PRESETS,
     SEARCH_PRESETS,
@@ -21,7 +22,6 @@ from pipeline_functions import (
     are_near,
     identity_color,
 )
-from vehicle import FILTER_PRESETS, FilterParams, Vehicle
 from video import VideoInfo, read_frames, video_info, video_writer
 
 
@@ -56,7 +56,7 @@ def write_video(path, frames, fps=25):
 
 @pytest.mark.parametrize("preset", ["G", "B"])
 def test_vehicle_equals_the_full_size_reference(param, preset):
-    vehicle = Vehicle(None, param, heat_filter=FILTER_PRESETS[preset])
+    vehicle = HeatVehicle(None, param, heat_filter=FILTER_PRESETS[preset])
     slow = reference.Detector(vehicle.classifier, SEARCH_PRESETS["G"], FILTER_PRESETS[preset])
     n_boxes = 0
     for frame in moving_frames(18):
@@ -67,7 +67,7 @@ def test_vehicle_equals_the_full_size_reference(param, preset):
 
 
 def test_process_image_draws_the_boxes(param):
-    vehicle = Vehicle(None, param, heat_filter=FilterParams(1, 1, 0))
+    vehicle = HeatVehicle(None, param, heat_filter=FilterParams(1, 1, 0))
     frame = next(moving_frames(1))
     drawn = vehicle.process_image(frame)
     vehicle.reset()
@@ -83,8 +83,8 @@ def test_calibration_straightens_only_the_picture(param, tmp_path):
     save_calibration(
         Calibration(mtx, np.array([[-0.3, 0.1, 0, 0, 0]]), (320, 180)), tmp_path / "calib.p"
     )
-    straight = Vehicle(tmp_path / "calib.p", param)
-    plain = Vehicle(None, param)
+    straight = HeatVehicle(tmp_path / "calib.p", param)
+    plain = HeatVehicle(None, param)
     frame = next(moving_frames(1))
     detections = straight.detect(frame)
     np.testing.assert_array_equal(detections.boxes, plain.detect(frame).boxes)
@@ -95,8 +95,8 @@ def test_calibration_straightens_only_the_picture(param, tmp_path):
 
 def test_between_scans_only_known_places_are_visited(param):
     search = replace(SEARCH_PRESETS["G"], scan_every=3)
-    vehicle = Vehicle(None, param, search, FilterParams(1, 1, 2))
-    full = Vehicle(None, param, heat_filter=FilterParams(1, 1, 2))
+    vehicle = HeatVehicle(None, param, search, FilterParams(1, 1, 2))
+    full = HeatVehicle(None, param, heat_filter=FilterParams(1, 1, 2))
     known = None
     for number, frame in enumerate(moving_frames(7)):
         detections = vehicle.detect(frame)
@@ -115,7 +115,7 @@ def boxes_around(boxes, shape):
 
 
 def test_reset_forgets(param):
-    vehicle = Vehicle(None, param)
+    vehicle = HeatVehicle(None, param)
     frames = list(moving_frames(20))
     first = [vehicle.detect(frame).filtered for frame in frames]
     vehicle.reset()
@@ -124,7 +124,7 @@ def test_reset_forgets(param):
 
 
 def test_frames_of_two_sizes_are_refused(param):
-    vehicle = Vehicle(None, param)
+    vehicle = HeatVehicle(None, param)
     vehicle.detect(textured_image(0, 180, 320))
     with pytest.raises(ValueError, match="after one of"):
         vehicle.detect(textured_image(0, 360, 640))
@@ -210,7 +210,7 @@ def test_detect_writes_pictures_and_boxes(param, tmp_path):
     images = tmp_path / "images"
     write_image(images / "still.png", next(moving_frames(1)))
     out = tmp_path / "out"
-    result = run(clip, images, "--out", out, "--param", param, "--split-screen")
+    result = run(clip, images, "--out", out, "--filter", "G", "--param", param, "--split-screen")
     assert result.returncode == 0, result.stderr
     assert {path.name for path in out.iterdir()} == {
         "clip.mp4", "clip.txt", "clip_split.mp4", "still.png", "still.txt",
@@ -218,7 +218,7 @@ def test_detect_writes_pictures_and_boxes(param, tmp_path):
     assert len(list(read_frames(out / "clip.mp4"))) == 20
     assert len(list(read_frames(out / "clip_split.mp4"))) == 20
     rows = np.loadtxt(out / "clip.txt", delimiter=",", ndmin=2)
-    vehicle = Vehicle(None, param)
+    vehicle = HeatVehicle(None, param)
     found = [vehicle.detect(frame) for frame in read_frames(clip)]
     expected = [
         (number, identity, left, top, right - left, bottom - top)
@@ -245,7 +245,7 @@ def test_detect_names_bad_input(param, tmp_path, name, message):
     if name != "gone.mp4":
         (tmp_path / name).write_text("no picture")
     out = tmp_path / "out"
-    result = run(tmp_path / name, "--out", out, "--param", param)
+    result = run(tmp_path / name, "--out", out, "--filter", "G", "--param", param)
     assert result.returncode == 1
     last = result.stderr.splitlines()[-1]
     assert last.startswith(f"error: {tmp_path / name}: ") and message in last
@@ -255,21 +255,25 @@ def test_detect_names_bad_input(param, tmp_path, name, message):
 def test_two_inputs_of_one_name_are_refused(param, tmp_path):
     for folder in ("a", "b"):
         write_image(tmp_path / folder / "same.png", next(moving_frames(1)))
-    result = run(tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out", "--param", param)
+    result = run(
+        tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out", "--filter", "G", "--param", param
+    )
     assert result.returncode == 1 and "is taken: use another --out" in result.stderr
 
 
 def test_an_input_is_never_overwritten(param, tmp_path):
     write_image(tmp_path / "still.png", next(moving_frames(1)))
     before = (tmp_path / "still.png").read_bytes()
-    result = run(tmp_path / "still.png", "--out", tmp_path, "--param", param)
+    result = run(tmp_path / "still.png", "--out", tmp_path, "--filter", "G", "--param", param)
     assert result.returncode == 1 and "is taken: use another --out" in result.stderr
     assert (tmp_path / "still.png").read_bytes() == before
 
 
 def test_what_is_wrong_with_a_frame_names_the_file(param, tmp_path):
     write_image(tmp_path / "tiny.png", textured_image(0, 20, 320))
-    result = run(tmp_path / "tiny.png", "--out", tmp_path / "out", "--param", param)
+    result = run(
+        tmp_path / "tiny.png", "--out", tmp_path / "out", "--filter", "G", "--param", param
+    )
     assert result.returncode == 1
     assert result.stderr.splitlines()[-1].startswith(
         f"error: {tmp_path / 'tiny.png'}: no window fits"
@@ -277,6 +281,6 @@ def test_what_is_wrong_with_a_frame_names_the_file(param, tmp_path):
 
 
 def test_shipped_classifier_is_preset_g():
-    vehicle = Vehicle(ROOT / "param/calib.p", ROOT / "param/svc_pickle.p")
+    vehicle = HeatVehicle(ROOT / "param/calib.p", ROOT / "param/svc_pickle.p")
     assert vehicle.classifier.params == FEATURE_PRESETS["G"]
     assert vehicle.classifier.data_counts == {"vehicles": 8792, "non-vehicles": 8968}

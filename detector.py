@@ -1,0 +1,580 @@
+"""The two-stage detector: windows of three shapes, then a closer look at the best.
+
+frame -> levels -> cells -> window scores -> proposals -> refined boxes, scores
+
+A level is the frame at one scale, described by cells of 4 x 4 pixels: HOG of
+the luma and the mean colour. Linear SVMs score windows of 8 cells' height and
+three widths. The best windows are cut out of the frame with a margin and
+described again, twice as finely: one kernel machine moves the four edges, and
+another, an SVM with an RBF kernel, says how sure it is.
+
+Frames are RGB, uint8. Boxes are float arrays of shape (n, 4): left, top,
+right, bottom in pixels of the frame.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numba import njit
+
+from dense_hog import N_CORES, THREADS, hog_blocks
+from files import written_whole
+from tracks import pairwise_iou, pairwise_overlap
+
+COLOR = "YCrCb"
+ORIENTATIONS = 9
+# Windows of the first stage, in cells of so many pixels.
+WINDOW_ROWS = 8
+WINDOW_COLUMNS = (8, 11, 16)
+WINDOW_CELL = 4
+# The closer look: a box of 8 x 8 cells, and a margin of one cell around it.
+PATCH_CELLS = 8
+PATCH_MARGIN = 1
+PATCH_CELL = 8
+# HOG of the luma, mean colour.
+CELL_FEATURES = ORIENTATIONS + 3
+PATCH_FEATURES = 3 * (ORIENTATIONS + 1)
+PATCH_SIDE = PATCH_CELLS + 2 * PATCH_MARGIN
+
+# Suppression compares each box with each: only so many of the best.
+_MOST_BOXES = 400
+
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True)
+class ScanParams:
+    """Where the first stage looks, and what it hands on.
+
+    Attributes
+    ----------
+    smallest, largest : float
+        Heights of windows, in pixels of a frame 1280 pixels wide; they follow
+        the width of other frames, for that is what the field of view fills.
+    ratio : float
+        Of the heights of neighbouring levels.
+    horizon : (float, float)
+        Rows between which the road may vanish, as shares of the frame's
+        height. A vehicle's roof may be above it, its wheels are below.
+    cells_per_step : int
+        Distance between neighbouring windows.
+    n_groups : int
+        A video's frame visits one of so many groups of levels, in turn.
+    threshold : float
+        Windows of a decision function above it may become proposals.
+    n_proposals : int
+        So many of the best of each level are looked at closely. Were they
+        taken from all levels together, the many small windows would crowd out
+        the few large ones.
+    overlap : float
+        IoU above which the better of two windows is taken for both.
+    """
+
+    smallest: float = 32
+    largest: float = 400
+    ratio: float = 1.25
+    horizon: tuple = (0.42, 0.62)
+    cells_per_step: int = 2
+    n_groups: int = 6
+    threshold: float = -0.5
+    n_proposals: int = 5
+    overlap: float = 0.5
+
+    def __post_init__(self):
+        if not 0 < self.smallest <= self.largest:
+            raise ValueError(f"heights {self.smallest} to {self.largest} are no range")
+        if self.ratio <= 1:
+            raise ValueError(f"neighbouring heights need a ratio above 1, not {self.ratio}")
+        if not 0 < self.horizon[0] <= self.horizon[1] < 1:
+            raise ValueError(f"the horizon lies between 0 and 1, not at {self.horizon}")
+        if min(self.cells_per_step, self.n_groups, self.n_proposals) < 1:
+            raise ValueError("cells_per_step, n_groups and n_proposals start at 1")
+        if not 0 < self.overlap < 1:
+            raise ValueError(f"an overlap lies between 0 and 1, not at {self.overlap}")
+
+
+DEFAULT_SCAN = ScanParams()
+
+
+@dataclass(frozen=True)
+class Template:
+    """Linear SVM of the first stage.
+
+    Attributes
+    ----------
+    weights : ndarray of float32, shape (rows, columns, ORIENTATIONS + 3)
+    bias : float
+    """
+
+    weights: np.ndarray
+    bias: float
+
+
+@dataclass(frozen=True)
+class KernelMachine:
+    """f(x) = sum_i weights_i exp(-gamma |x P + offset - centers_i|^2) + bias.
+
+    Attributes
+    ----------
+    projection : ndarray of float32, shape (n_features, n_components)
+        P; scaling and principal components in one.
+    offset : ndarray of float32, shape (n_components,)
+    centers : ndarray of float32, shape (n, n_components)
+    weights : ndarray of float32, shape (n, n_outputs)
+    bias : ndarray of float32, shape (n_outputs,)
+    gamma : float
+    """
+
+    projection: np.ndarray
+    offset: np.ndarray
+    centers: np.ndarray
+    weights: np.ndarray
+    bias: np.ndarray
+    gamma: float
+
+    def predict(self, features):
+        """Outputs for features of shape (n, n_features), shape (n, n_outputs)."""
+        components = np.zeros((len(features), len(self.offset)), np.float32)
+        _project(np.ascontiguousarray(features, np.float32), self.projection, components)
+        components += self.offset
+        outputs = np.empty((len(features), len(self.bias)), np.float32)
+        _kernel_sums(components, self.centers, np.float32(self.gamma), self.weights, outputs)
+        return outputs + self.bias
+
+
+@dataclass(frozen=True)
+class Detector:
+    """All that `train_detector.py` learns.
+
+    Attributes
+    ----------
+    templates : tuple of Template
+    scorer : KernelMachine
+        From the inner cells of a patch to a decision function.
+    regressor : KernelMachine
+        From all cells of a patch to shifts of the four edges, in widths and
+        heights of the box.
+    """
+
+    templates: tuple
+    scorer: KernelMachine
+    regressor: KernelMachine
+
+
+# Not `@`: for so small a product BLAS wakes threads that then spin, and take
+# from whatever runs beside the search.
+_SUMS = {"reassoc", "contract", "nsz"}
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_SUMS)
+def _project(features, projection, components):
+    """components += features @ projection."""
+    for k in range(features.shape[1]):
+        for i in range(features.shape[0]):
+            value = features[i, k]
+            row = projection[k]
+            own = components[i]
+            for n in range(row.size):
+                own[n] += value * row[n]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_SUMS)
+def _kernel_sums(components, centers, gamma, weights, outputs):
+    """Weighted sums of a Gaussian of the distance to every center."""
+    outputs[:] = 0
+    for j in range(centers.shape[0]):
+        center = centers[j]
+        for i in range(components.shape[0]):
+            own = components[i]
+            squared = np.float32(0)
+            for n in range(center.size):
+                difference = own[n] - center[n]
+                squared += difference * difference
+            value = np.exp(-gamma * squared)
+            for n in range(weights.shape[1]):
+                outputs[i, n] += weights[j, n] * value
+
+
+# --------------------------------------------------------------- first stage
+
+
+@dataclass(frozen=True)
+class Level:
+    """Rows `top` to `bottom` of the frame, to be resized to `rows` x `columns` pixels."""
+
+    top: int
+    bottom: int
+    rows: int
+    columns: int
+
+
+@lru_cache(maxsize=16)
+def level_groups(frame_shape, scan):
+    """The levels of a frame, in groups of about equal size.
+
+    Parameters
+    ----------
+    frame_shape : (rows, columns)
+    scan : ScanParams
+
+    Returns
+    -------
+    groups : list of list of Level
+
+    Raises
+    ------
+    ValueError
+        No window fits the frame.
+    """
+    height, width = frame_shape[:2]
+    low, high = (share * height for share in scan.horizon)
+    side, levels = scan.smallest * width / 1280, []
+    while side <= scan.largest * width / 1280:
+        top, bottom = max(0, int(low - 0.75 * side)), min(height, int(high + side))
+        scale = side / (WINDOW_ROWS * WINDOW_CELL)
+        level = Level(top, bottom, round((bottom - top) / scale), round(width / scale))
+        if level.rows >= WINDOW_ROWS * WINDOW_CELL:
+            levels.append(level)
+        side *= scan.ratio
+    if not levels:
+        raise ValueError(f"no window fits a frame of {width}x{height}: use a larger picture")
+    groups = [[] for _ in range(min(scan.n_groups, len(levels)))]
+    for level in levels:
+        smallest = min(groups, key=lambda group: sum(one.rows * one.columns for one in group))
+        smallest.append(level)
+    return groups
+
+
+def cell_features(img):
+    """HOG of the luma and mean colour of every cell of an image.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        YCrCb.
+
+    Returns
+    -------
+    features : ndarray of float32, shape (cell rows, cell columns, ORIENTATIONS + 3)
+    """
+    hog = hog_blocks(img[..., :1], ORIENTATIONS, WINDOW_CELL, 1)[0, :, :, 0, 0]
+    rows, columns, _ = hog.shape
+    features = np.empty((rows, columns, ORIENTATIONS + 3), np.float32)
+    features[:, :, :ORIENTATIONS] = hog
+    whole = img[: rows * WINDOW_CELL, : columns * WINDOW_CELL]
+    means = cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA)
+    np.multiply(means, np.float32(1 / 255), out=features[:, :, ORIENTATIONS:])
+    return features
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_SUMS)
+def _correlate(features, weights, step, first, last, scores):
+    """Sums of products of the weights with the cells of the window rows first..last."""
+    _, columns, depth = features.shape
+    rows, width, _ = weights.shape
+    flat = features.reshape(-1, columns * depth)
+    flat_weights = weights.reshape(rows, width * depth)
+    for i in range(first, last):
+        for k in range(scores.shape[1]):
+            total = np.float32(0)
+            for row in range(rows):
+                run = flat[i * step + row, k * step * depth : (k * step + width) * depth]
+                own = flat_weights[row]
+                for n in range(own.size):
+                    total += run[n] * own[n]
+            scores[i, k] = total
+
+
+def window_scores(features, template, step):
+    """Decision function of the windows at every so many cells.
+
+    Parameters
+    ----------
+    features : ndarray of float32, shape (rows, columns, ORIENTATIONS + 3)
+    template : Template
+    step : int
+        In cells.
+
+    Returns
+    -------
+    scores : ndarray of float32, shape (window rows, window columns)
+        Empty if no window fits.
+    """
+    sides = zip(features.shape, template.weights.shape[:2], strict=False)
+    shape = [max(0, (side - length) // step + 1) for side, length in sides]
+    scores = np.empty(shape, np.float32)
+    edges = [shape[0] * i // N_CORES for i in range(N_CORES + 1)]
+    parts = [
+        THREADS.submit(_correlate, features, template.weights, step, *part, scores)
+        for part in pairwise(edges)
+    ]
+    for part in parts:
+        part.result()
+    return scores + np.float32(template.bias)
+
+
+def propose(img, levels, templates, scan):
+    """The best windows of some levels.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        YCrCb.
+    levels : list of Level
+    templates : tuple of Template
+    scan : ScanParams
+
+    Returns
+    -------
+    boxes : ndarray of float, shape (n, 4)
+    scores : ndarray of float32, shape (n,)
+        Best first.
+    """
+    found = [_propose_on_level(img, level, templates, scan) for level in levels]
+    boxes, scores = map(np.concatenate, zip(*found, strict=True))
+    best = suppress(boxes, scores, scan.overlap)
+    return boxes[best], scores[best]
+
+
+def _propose_on_level(img, level, templates, scan):
+    """The best windows of one level, as `propose`."""
+    boxes, scores = [], []
+    strip = img[level.top : level.bottom]
+    size = level.columns, level.rows
+    features = cell_features(cv2.resize(strip, size, interpolation=cv2.INTER_LINEAR))
+    # Size of a cell in the frame; columns and rows were rounded each on their own.
+    x, y = WINDOW_CELL * strip.shape[1] / size[0], WINDOW_CELL * strip.shape[0] / size[1]
+    for template in templates:
+        rows, columns, _ = template.weights.shape
+        level_scores = window_scores(features, template, scan.cells_per_step)
+        hot = np.nonzero(level_scores > scan.threshold)
+        scores.append(level_scores[hot])
+        row, column = np.multiply(hot, scan.cells_per_step)
+        corners = np.stack([column, row, column + columns, row + rows], axis=1)
+        boxes.append(corners * (x, y, x, y) + (0, level.top, 0, level.top))
+    boxes, scores = np.concatenate(boxes), np.concatenate(scores)
+    best = suppress(boxes, scores, scan.overlap)[: scan.n_proposals]
+    return boxes[best], scores[best]
+
+
+def suppress(boxes, scores, overlap):
+    """Non-maximum suppression: indices of what stays, best first.
+
+    Parameters
+    ----------
+    boxes : ndarray, shape (n, 4)
+    scores : ndarray, shape (n,)
+    overlap : float
+        A box goes if its IoU with a better one is above this, or if it is not
+        among the best 400.
+    """
+    if not len(boxes):
+        return np.empty(0, int)
+    sizes = np.hstack([boxes[:, :2], boxes[:, 2:] - boxes[:, :2]]).astype(float)
+    # OpenCV takes no threshold below zero.
+    above_zero = (scores - scores.min() + 1).astype(np.float32)
+    best = cv2.dnn.NMSBoxes(sizes, above_zero, 0.0, overlap, top_k=_MOST_BOXES)
+    return np.asarray(best, int)
+
+
+# -------------------------------------------------------------- second stage
+
+
+def cut_patch(img, box):
+    """A box with its margin as a square; outside the frame its edge goes on.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+    box : array-like of float, shape (4,)
+
+    Returns
+    -------
+    patch : ndarray of uint8, shape (side, side, 3)
+    """
+    left, top, right, bottom = box
+    side = PATCH_SIDE * PATCH_CELL
+    margin = PATCH_MARGIN * PATCH_CELL
+    x, y = (right - left) / (PATCH_CELLS * PATCH_CELL), (bottom - top) / (PATCH_CELLS * PATCH_CELL)
+    # Middles of pixels lie at whole coordinates, their edges half a pixel before.
+    matrix = np.array(
+        [
+            [x, 0, left - margin * x + 0.5 * x - 0.5],
+            [0, y, top - margin * y + 0.5 * y - 0.5],
+        ]
+    )
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(img, matrix, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+
+
+def patch_features(img, boxes):
+    """HOG and mean colour of the cells of every box and its margin.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        YCrCb.
+    boxes : ndarray of float, shape (n, 4)
+
+    Returns
+    -------
+    features : ndarray of float32, shape (n, PATCH_SIDE, PATCH_SIDE, PATCH_FEATURES)
+    """
+    features = np.empty((len(boxes), PATCH_SIDE, PATCH_SIDE, PATCH_FEATURES), np.float32)
+    if not len(boxes):
+        return features
+    patches = [cut_patch(img, box) for box in boxes]
+    # All patches are the channels of one image, for a pass of HOG has its price.
+    hog = hog_blocks(np.concatenate(patches, axis=2), ORIENTATIONS, PATCH_CELL, 1)[..., 0, 0, :]
+    hog = hog.reshape(len(boxes), 3, PATCH_SIDE, PATCH_SIDE, ORIENTATIONS).transpose(0, 2, 3, 1, 4)
+    features[..., : 3 * ORIENTATIONS] = hog.reshape(*features.shape[:3], -1)
+    size = PATCH_SIDE, PATCH_SIDE
+    means = [cv2.resize(patch, size, interpolation=cv2.INTER_AREA) for patch in patches]
+    np.multiply(means, np.float32(1 / 255), out=features[..., 3 * ORIENTATIONS :])
+    return features
+
+
+def inner_cells(features):
+    """Features of the boxes without their margins, flat: (n, PATCH_CELLS**2 * PATCH_FEATURES)."""
+    inner = slice(PATCH_MARGIN, PATCH_MARGIN + PATCH_CELLS)
+    return features[:, inner, inner].reshape(-1, PATCH_CELLS**2 * PATCH_FEATURES)
+
+
+def all_cells(features):
+    """Features of the boxes with their margins, flat: (n, PATCH_SIDE**2 * PATCH_FEATURES)."""
+    return features.reshape(-1, PATCH_SIDE**2 * PATCH_FEATURES)
+
+
+def move_edges(boxes, shifts):
+    """Boxes with each edge moved by a share of the box's width or height."""
+    size = boxes[:, 2:] - boxes[:, :2]
+    return boxes + shifts * np.hstack([size, size])
+
+
+def look_closer(img, boxes, detector):
+    """Move the edges of boxes to where they belong, and score them there.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        YCrCb.
+    boxes : ndarray of float, shape (n, 4)
+    detector : Detector
+
+    Returns
+    -------
+    boxes : ndarray of float, shape (n, 4)
+    scores : ndarray of float32, shape (n,)
+        Decision function, positive for vehicles.
+    """
+    features = all_cells(patch_features(img, boxes))
+    boxes = move_edges(boxes, detector.regressor.predict(features))
+    scores = detector.scorer.predict(inner_cells(patch_features(img, boxes)))[:, 0]
+    return boxes, scores
+
+
+def keep_wholes(boxes, scores, overlap=0.45, covered=0.7):
+    """Of boxes that overlap or lie within each other, keep the better ones.
+
+    Parameters
+    ----------
+    boxes : ndarray of float, shape (n, 4)
+    scores : ndarray, shape (n,)
+    overlap, covered : float
+        A box goes if its IoU with a better one is above the first, or if the
+        smaller of the two is covered by more than the second.
+
+    Returns
+    -------
+    kept : ndarray of int
+        Indices, best first.
+    """
+    areas = (boxes[:, 2:] - boxes[:, :2]).prod(axis=1)
+    smaller = np.minimum(areas[:, None], areas[None])
+    rival = pairwise_overlap(boxes, boxes) > covered * smaller
+    rival |= pairwise_iou(boxes, boxes) > overlap
+    kept = []
+    for i in np.argsort(-scores):
+        if not rival[i, kept].any():
+            kept.append(i)
+    return np.array(kept, int)
+
+
+def are_plausible(boxes, frame_shape, scan):
+    """Which boxes could frame a vehicle that the first stage could have found.
+
+    Parameters
+    ----------
+    boxes : ndarray of float, shape (n, 4)
+    frame_shape : (rows, columns, ...)
+    scan : ScanParams
+
+    Returns
+    -------
+    plausible : ndarray of bool, shape (n,)
+        Mostly in the frame, not much lower or higher than its windows, and
+        between half and three and a half times as wide as high.
+    """
+    rows, columns = frame_shape[:2]
+    width, height = (boxes[:, 2:] - boxes[:, :2]).T
+    inside = np.clip(boxes, 0, (columns, rows, columns, rows))
+    share = (inside[:, 2:] - inside[:, :2]).prod(axis=1) / np.maximum(width * height, 1e-9)
+    unit = columns / 1280
+    low, high = scan.smallest * unit / 1.5, scan.largest * unit * 1.25
+    shaped = (0.5 * height < width) & (width < 3.5 * height)
+    return (share > 0.6) & shaped & (low < height) & (height < high)
+
+
+# ---------------------------------------------------------------------- file
+
+
+def save_detector(detector, path):
+    """Write a detector as a NumPy archive; it appears under its name only when whole."""
+    arrays = {"format_version": FORMAT_VERSION}
+    for i, template in enumerate(detector.templates):
+        arrays |= {f"template{i}_{name}": value for name, value in vars(template).items()}
+    for name in ("scorer", "regressor"):
+        machine = vars(getattr(detector, name))
+        arrays |= {f"{name}_{key}": _half(value) for key, value in machine.items()}
+    with written_whole(path) as partial, open(partial, "wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def _half(value):
+    """Large arrays at half their precision, which no score shows in its second digit."""
+    return value.astype(np.float16) if np.size(value) > 10_000 else value
+
+
+def load_detector(path):
+    """Read what `save_detector` wrote.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        There is no such file; it is not of this format.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such parameter file: run train_detector.py to make it")
+    try:
+        with np.load(path) as arrays:
+            if arrays["format_version"] != FORMAT_VERSION:
+                raise ValueError(f"format {arrays['format_version']}, not {FORMAT_VERSION}")
+            templates = tuple(
+                Template(arrays[f"template{i}_weights"], float(arrays[f"template{i}_bias"]))
+                for i in range(len(WINDOW_COLUMNS))
+            )
+            machines = [_read_machine(arrays, name) for name in ("scorer", "regressor")]
+    except (KeyError, OSError, ValueError) as error:
+        raise ValueError(f"{path}: not a parameter file of train_detector.py: {error}") from error
+    return Detector(templates, *machines)
+
+
+def _read_machine(arrays, name):
+    fields = ("projection", "offset", "centers", "weights", "bias")
+    values = [arrays[f"{name}_{field}"].astype(np.float32) for field in fields]
+    return KernelMachine(*values, gamma=float(arrays[f"{name}_gamma"]))

@@ -1,0 +1,318 @@
+"""The two-stage detector, against brute force and other libraries."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skimage.feature import hog
+from sklearn.metrics.pairwise import rbf_kernel
+
+from conftest import random_detector, textured_image
+from detector import (
+    CELL_FEATURES,
+    ORIENTATIONS,
+    PATCH_CELL,
+    PATCH_CELLS,
+    PATCH_MARGIN,
+    WINDOW_CELL,
+    WINDOW_ROWS,
+    KernelMachine,
+    ScanParams,
+    Template,
+    are_plausible,
+    cell_features,
+    cut_patch,
+    inner_cells,
+    keep_wholes,
+    level_groups,
+    load_detector,
+    look_closer,
+    move_edges,
+    patch_features,
+    propose,
+    save_detector,
+    suppress,
+    window_scores,
+)
+from pipeline_functions import convert_color
+from tracks import pairwise_iou
+
+SIDE = PATCH_CELLS * PATCH_CELL
+MARGIN = PATCH_MARGIN * PATCH_CELL
+
+
+def random_boxes(rng, count, extent=200):
+    corner = rng.uniform(0, extent, size=(count, 2))
+    return np.hstack([corner, corner + rng.uniform(5, 90, size=(count, 2))])
+
+
+# ------------------------------------------------------------------- windows
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    width=st.integers(200, 2000),
+    shape=st.floats(0.4, 0.8),
+    ratio=st.floats(1.1, 1.5),
+    n_groups=st.integers(1, 6),
+)
+def test_groups_share_out_all_levels(width, shape, ratio, n_groups):
+    scan = ScanParams(ratio=ratio, n_groups=n_groups)
+    frame = round(width * shape), width
+    (every,) = level_groups(frame, replace(scan, n_groups=1))
+    groups = level_groups(frame, scan)
+    assert all(groups) and len(groups) <= n_groups
+    assert sorted(map(repr, every)) == sorted(repr(level) for group in groups for level in group)
+    heights = [WINDOW_ROWS * WINDOW_CELL * (a.bottom - a.top) / a.rows for a in every]
+    assert abs(heights[0] - 32 * width / 1280) < 0.06 * heights[0]
+    assert all(0 <= a.top < a.bottom <= frame[0] for a in every)
+    # Levels are as fine as asked for, but for rounding.
+    assert (np.diff(np.log(heights)) < np.log(ratio) + 0.1).all()
+
+
+def test_a_frame_too_small_for_any_window_is_refused():
+    with pytest.raises(ValueError, match="no window fits a frame of 300x4"):
+        level_groups((4, 300), ScanParams())
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"smallest": 0},
+        {"smallest": 500},
+        {"ratio": 1},
+        {"horizon": (0.6, 0.4)},
+        {"n_groups": 0},
+        {"cells_per_step": 0},
+        {"n_proposals": 0},
+        {"overlap": 1},
+    ],
+)
+def test_scan_params_refuse(wrong):
+    with pytest.raises(ValueError):
+        ScanParams(**wrong)
+
+
+def test_cells_hold_hog_and_mean_colour():
+    img = textured_image(3, 46, 61)
+    features = cell_features(img)
+    assert features.shape == (11, 15, CELL_FEATURES)
+    expected = hog(
+        img[..., 0], ORIENTATIONS, (WINDOW_CELL, WINDOW_CELL), (1, 1), "L2-Hys",
+        transform_sqrt=True, feature_vector=False,
+    )[:, :, 0, 0]  # fmt: skip
+    np.testing.assert_allclose(features[..., :ORIENTATIONS], expected, atol=1e-5)
+    cell = img[8:12, 20:24].mean(axis=(0, 1)) / 255
+    np.testing.assert_allclose(features[2, 5, ORIENTATIONS:], cell, atol=0.003)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    rows=st.integers(1, 20),
+    columns=st.integers(1, 30),
+    width=st.integers(1, 16),
+    step=st.integers(1, 3),
+    seed=st.integers(0, 1000),
+)
+def test_window_scores_are_products_at_every_place(rows, columns, width, step, seed):
+    rng = np.random.default_rng(seed)
+    features = rng.normal(size=(rows, columns, CELL_FEATURES)).astype(np.float32)
+    weights = rng.normal(size=(WINDOW_ROWS, width, CELL_FEATURES)).astype(np.float32)
+    scores = window_scores(features, Template(weights, 0.5), step)
+    places = (
+        range(0, max(0, side), step) for side in (rows - WINDOW_ROWS + 1, columns - width + 1)
+    )
+    tops, lefts = map(list, places)
+    shape = len(tops), len(lefts)
+    assert scores.shape == shape
+    for i, k in np.ndindex(shape):
+        window = features[tops[i] : tops[i] + WINDOW_ROWS, lefts[k] : lefts[k] + width]
+        assert scores[i, k] == pytest.approx((window * weights).sum() + 0.5, abs=2e-3)
+
+
+def test_a_window_is_proposed_where_its_pixels_are():
+    frame = np.full((360, 640, 3), 90, np.uint8)
+    frame[170:202, 300:344] = textured_image(5, 32, 44)
+    img = convert_color(frame, "YCrCb")
+    scan = ScanParams(
+        smallest=64, largest=64, cells_per_step=1, n_groups=1, threshold=-np.inf, n_proposals=1
+    )
+    ((level,),) = level_groups(img.shape, scan)
+    strip = cv2.resize(img[level.top : level.bottom], (level.columns, level.rows))
+    assert (level.rows, level.columns) == (level.bottom - level.top, 640)
+    row, column = (170 - level.top) // WINDOW_CELL, 300 // WINDOW_CELL
+    level_cells = cell_features(strip)
+    wanted = level_cells[row : row + WINDOW_ROWS, column : column + 11]
+    template = Template(wanted - level_cells.mean(axis=(0, 1)), 0.0)
+    (box,), _ = propose(img, [level], (template,), scan)
+    np.testing.assert_allclose(box, (300, 170, 344, 202), atol=WINDOW_CELL)
+
+
+@settings(max_examples=50, deadline=None)
+@given(count=st.integers(0, 25), overlap=st.floats(0.1, 0.9), seed=st.integers(0, 10_000))
+def test_suppression_is_greedy(count, overlap, seed):
+    rng = np.random.default_rng(seed)
+    boxes, scores = random_boxes(rng, count), rng.normal(size=count)
+    iou, kept = pairwise_iou(boxes, boxes), []
+    for i in np.argsort(-scores):
+        if all(iou[i, k] <= overlap for k in kept):
+            kept.append(i)
+    assert suppress(boxes, scores, overlap).tolist() == kept
+
+
+# -------------------------------------------------------------- closer look
+
+
+def test_a_patch_is_the_box_and_its_margin():
+    img = textured_image(1, 200, 300)
+    whole = cut_patch(img, (50, 40, 50 + SIDE, 40 + SIDE))
+    expected = img[40 - MARGIN : 40 + SIDE + MARGIN, 50 - MARGIN : 50 + SIDE + MARGIN]
+    np.testing.assert_array_equal(whole, expected)
+    wide = cut_patch(img, (20, 10, 20 + 3 * SIDE, 10 + 2 * SIDE))
+    # Every third pixel is the middle one of three, every second lies between two.
+    left, top = 20 - 3 * MARGIN, 10 - 2 * MARGIN
+    inside = np.s_[-top // 2 + 1 :, -left // 3 + 1 :]
+    x = left + 3 * np.arange(SIDE + 2 * MARGIN) + 1
+    y = top + 2 * np.arange(SIDE + 2 * MARGIN)
+    x, y = x[inside[1]], y[inside[0]]
+    y = y[y < 199]
+    expected = (img[y][:, x].astype(float) + img[y + 1][:, x]) / 2
+    np.testing.assert_allclose(wide[inside][: len(y)], expected, atol=1)
+
+
+def test_outside_of_the_frame_its_edge_goes_on():
+    img = textured_image(1, 100, 100)
+    patch = cut_patch(img, (80, 20, 80 + SIDE, 20 + SIDE))
+    assert (patch[:, 30:] == patch[:, 29:30]).all()
+
+
+def test_patches_hold_hog_and_mean_colour():
+    img = textured_image(2, 240, 320)
+    boxes = np.array([(30.0, 40, 30 + SIDE, 40 + SIDE), (100.5, 60.2, 230, 170)])
+    features = patch_features(img, boxes)
+    for box, own in zip(boxes, features, strict=True):
+        patch = cut_patch(img, box)
+        for channel in range(3):
+            expected = hog(
+                patch[..., channel], ORIENTATIONS, (PATCH_CELL, PATCH_CELL), (1, 1), "L2-Hys",
+                transform_sqrt=True, feature_vector=False,
+            )[:, :, 0, 0]  # fmt: skip
+            part = own[..., channel * ORIENTATIONS : (channel + 1) * ORIENTATIONS]
+            np.testing.assert_allclose(part, expected, atol=1e-5)
+        cell = patch[8:16, 16:24].mean(axis=(0, 1)) / 255
+        np.testing.assert_allclose(own[1, 2, 3 * ORIENTATIONS :], cell, atol=0.003)
+    np.testing.assert_array_equal(
+        inner_cells(features), features[:, 1:-1, 1:-1].reshape(len(boxes), -1)
+    )
+    assert patch_features(img, boxes[:0]).shape == (0, *features.shape[1:])
+
+
+@settings(max_examples=20, deadline=None)
+@given(count=st.integers(0, 6), seed=st.integers(0, 1000))
+def test_kernel_machine_is_a_sum_of_gaussians(count, seed):
+    rng = np.random.default_rng(seed)
+    arrays = [
+        rng.normal(size=shape).astype(np.float32) for shape in ((30, 7), 7, (50, 7), (50, 4), 4)
+    ]
+    machine = KernelMachine(*arrays, gamma=0.05)
+    features = rng.normal(size=(count, 30)).astype(np.float32)
+    projection, offset, centers, weights, bias = arrays
+    expected = bias + (
+        rbf_kernel(features @ projection + offset, centers, 0.05) @ weights if count else 0
+    )
+    np.testing.assert_allclose(
+        machine.predict(features), np.broadcast_to(expected, (count, 4)), atol=1e-3
+    )
+
+
+def test_edges_move_by_shares_of_the_box():
+    moved = move_edges(np.array([(100.0, 50, 200, 90)]), np.array([(-0.1, 0.25, 0.2, 0)]))
+    np.testing.assert_allclose(moved, [(90, 60, 220, 90)])
+
+
+def test_the_closer_look_scores_where_it_moved_the_box():
+    img = textured_image(4, 240, 320)
+    detector = random_detector(0)
+    none, no_scores = look_closer(img, np.empty((0, 4)), detector)
+    assert none.shape == (0, 4) and no_scores.shape == (0,)
+    boxes = random_boxes(np.random.default_rng(0), 5)
+    moved, scores = look_closer(img, boxes, detector)
+    for box, own_box, score in zip(boxes, moved, scores, strict=True):
+        shift = detector.regressor.predict(patch_features(img, box[None]).reshape(1, -1))
+        np.testing.assert_allclose(move_edges(box[None], shift)[0], own_box, atol=1e-3)
+        alone = detector.scorer.predict(inner_cells(patch_features(img, own_box[None])))
+        assert score == pytest.approx(alone[0, 0], abs=1e-4)
+
+
+@settings(max_examples=50, deadline=None)
+@given(count=st.integers(0, 12), seed=st.integers(0, 10_000))
+def test_of_rivals_the_better_one_is_kept(count, seed):
+    rng = np.random.default_rng(seed)
+    boxes, scores = random_boxes(rng, count, 80), rng.normal(size=count)
+
+    def rivals(a, b):
+        width = min(a[2], b[2]) - max(a[0], b[0])
+        height = min(a[3], b[3]) - max(a[1], b[1])
+        common = max(0, width) * max(0, height)
+        areas = [(x[2] - x[0]) * (x[3] - x[1]) for x in (a, b)]
+        return common / (sum(areas) - common) > 0.45 or common / min(areas) > 0.7
+
+    kept = []
+    for i in np.argsort(-scores):
+        if not any(rivals(boxes[i], boxes[k]) for k in kept):
+            kept.append(i)
+    assert keep_wholes(boxes, scores).tolist() == kept
+
+
+def test_plausible_boxes_frame_a_vehicle():
+    boxes = np.array(
+        [
+            (100, 100, 180, 150),
+            (-90, 100, 60, 180),
+            (100, 100, 130, 118),
+            (100, 10, 900, 540),
+            (100, 100, 130, 170),
+            (100, 100, 400, 150),
+            (-20, 100, 60, 150),
+        ],
+        float,
+    )
+    plausible = are_plausible(boxes, (720, 1280, 3), ScanParams(smallest=32, largest=400))
+    assert plausible.tolist() == [True, False, False, False, False, False, True]
+    half = are_plausible(boxes / 2, (360, 640, 3), ScanParams(smallest=32, largest=400))
+    np.testing.assert_array_equal(plausible, half)
+
+
+# ---------------------------------------------------------------------- file
+
+
+def test_a_detector_is_read_as_it_was_written(tmp_path):
+    detector = random_detector(1)
+    save_detector(detector, tmp_path / "detector.npz")
+    loaded = load_detector(tmp_path / "detector.npz")
+    for old, new in zip(detector.templates, loaded.templates, strict=True):
+        np.testing.assert_array_equal(old.weights, new.weights)
+        assert old.bias == pytest.approx(new.bias)
+    img, boxes = textured_image(4, 240, 320), random_boxes(np.random.default_rng(0), 5)
+    for old, new in zip(
+        look_closer(img, boxes, detector), look_closer(img, boxes, loaded), strict=True
+    ):
+        np.testing.assert_allclose(old, new, rtol=0.01, atol=0.02)
+
+
+def test_what_is_no_detector_is_named(tmp_path):
+    path = tmp_path / "detector.npz"
+    with pytest.raises(FileNotFoundError, match=r"detector\.npz: no such parameter file"):
+        load_detector(path)
+    path.write_text("nothing of the kind")
+    with pytest.raises(ValueError, match=r"detector\.npz: not a parameter file"):
+        load_detector(path)
+    np.savez(path, format_version=0)
+    with pytest.raises(ValueError, match="format 0, not 1"):
+        load_detector(path)
+    np.savez(path, format_version=1)
+    with pytest.raises(ValueError, match=r"detector\.npz: not a parameter file"):
+        load_detector(path)

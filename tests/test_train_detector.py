@@ -1,0 +1,245 @@
+"""Training of the two-stage detector."""
+
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from conftest import ROOT, textured_image
+from detector import COLOR, WINDOW_CELL, WINDOW_ROWS, cell_features, load_detector
+from evaluate import evaluate, read_rows
+from files import write_image
+from pipeline_functions import convert_color
+from render import render
+from sample_data import random_scene, truth_rows
+from tracks import pairwise_iou, pairwise_overlap
+from train_detector import (
+    Example,
+    best_iou,
+    fit_regressor,
+    fit_scorer,
+    fit_template,
+    frame_slice,
+    is_nothing,
+    jittered,
+    mirrored,
+    narrowed,
+    random_camera,
+    random_parts,
+    read_footage,
+    window_features,
+)
+from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
+from video import VideoInfo, video_writer
+
+
+def boxes_of(seed, count, width=320, height=180):
+    rng = np.random.default_rng(seed)
+    corner = rng.uniform(0, (width - 60, height - 60), size=(count, 2))
+    return np.hstack([corner, corner + rng.uniform(10, 60, size=(count, 2))])
+
+
+# ------------------------------------------------------------------- reading
+
+
+def test_footage_is_a_folder_or_a_video(tmp_path):
+    (tmp_path / "truth.txt").write_text("2,1,10,20,30,40,1,3,1\n2,2,50,20,30,40,0,3,1\n")
+    images = [cv2.GaussianBlur(textured_image(seed, 64, 96), (0, 0), 6) for seed in range(4)]
+    for number, img in enumerate(images, start=1):
+        write_image(tmp_path / "frames" / f"{number}.png", img)
+    with video_writer(tmp_path / "clip.mp4", VideoInfo(96, 64, 25, 4), preset="medium") as write:
+        for img in images:
+            write(img)
+    for name in ("frames", "clip.mp4"):
+        examples = read_footage(tmp_path / name, tmp_path / "truth.txt", "2:4:2")
+        assert len(examples) == 2
+        np.testing.assert_array_equal(examples[0].boxes, [(10, 20, 40, 60), (50, 20, 80, 60)])
+        assert examples[0].required.tolist() == [True, False]
+        assert examples[1].boxes.shape == (0, 4)
+        difference = examples[0].read().astype(int) - images[1]
+        assert np.abs(difference).mean() < (0.01 if name == "frames" else 5)
+    with pytest.raises(ValueError, match="no frame in 7:9"):
+        read_footage(tmp_path / "frames", tmp_path / "truth.txt", "7:9")
+
+
+@pytest.mark.parametrize("text", ["", "3", "a:b", "1:2:3:4", "1:2:x"])
+def test_frames_are_a_range(text):
+    with pytest.raises(ValueError, match="frames are A:B"):
+        frame_slice(text)
+
+
+# -------------------------------------------------------------- augmentation
+
+
+def test_a_mirrored_box_holds_the_mirrored_pixels():
+    img, boxes = textured_image(0, 60, 100), np.array([(10.0, 20, 40, 50)])
+    flipped, (box,) = mirrored(img, boxes)
+    left, top, right, bottom = box.astype(int)
+    np.testing.assert_array_equal(flipped[top:bottom, left:right], img[20:50, 10:40][:, ::-1])
+    np.testing.assert_array_equal(mirrored(flipped, box[None])[1], boxes)
+
+
+def test_what_is_mostly_cut_off_is_not_required():
+    boxes = np.array([(0.0, 0, 40, 20), (30, 0, 90, 20), (45, 0, 65, 20), (60, 0, 90, 20)])
+    img, cut, required = narrowed(textured_image(0, 40, 100), boxes, np.ones(4, bool), 0.5)
+    assert img.shape == (40, 50, 3)
+    np.testing.assert_array_equal(cut, [(0, 0, 40, 20), (30, 0, 50, 20), (45, 0, 50, 20)])
+    assert required.tolist() == [True, False, False]
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_any_camera_sees_the_vehicle_in_its_box(seed):
+    frame = np.full((180, 320, 3), 128, np.uint8)
+    frame[60:120, 120:200] = (255, 255, 0)
+    example = Example(frame, np.array([(120.0, 60, 200, 120)]), np.array([True]))
+    img, boxes, required = random_camera(example, np.random.default_rng(seed))
+    assert img.dtype == np.uint8 and img.shape[1] <= 320
+    for (left, top, right, bottom), wanted in zip(boxes.round().astype(int), required, strict=True):
+        assert wanted
+        outside = np.ones(img.shape[:2], bool)
+        outside[max(0, top - 3) : bottom + 3, max(0, left - 3) : right + 3] = False
+        inside = img[top + 4 : bottom - 4, left + 4 : right - 4].reshape(-1, 3)
+        rest = img[outside]
+        # Yellow is poor in blue chroma, and gray has none, even when colours are faint.
+        assert inside[:, 2].mean() < rest[:, 2].mean() - 5
+
+
+@given(count=st.integers(0, 6), seed=st.integers(0, 1000))
+def test_parts_and_jittered_boxes(count, seed):
+    rng, boxes = np.random.default_rng(seed), boxes_of(seed, count)
+    parts = random_parts(boxes, rng)
+    areas = (boxes[:, 2:] - boxes[:, :2]).prod(axis=1)
+    np.testing.assert_allclose(
+        np.diagonal(pairwise_overlap(parts, boxes)), (parts[:, 2:] - parts[:, :2]).prod(axis=1)
+    )
+    share = np.diagonal(pairwise_overlap(parts, boxes)) / areas
+    assert ((share > 0.2) & (share < 0.6)).all()
+    assert (np.diagonal(pairwise_iou(jittered(boxes, 0.03, rng), boxes)) > 0.7).all()
+
+
+@given(n=st.integers(0, 6), m=st.integers(0, 6), seed=st.integers(0, 1000))
+def test_nothing_is_what_overlaps_no_box(n, m, seed):
+    windows, boxes = boxes_of(seed, n), boxes_of(seed + 1, m)
+    free = is_nothing(windows, boxes, 0.3, 0.5)
+    for window, is_free in zip(windows, free, strict=True):
+        rows = window[None]
+        iou = pairwise_iou(rows, boxes).max(initial=0)
+        share = pairwise_overlap(rows, boxes).max(initial=0)
+        assert is_free == (iou < 0.3 and share < 0.5 * (window[2:] - window[:2]).prod())
+    np.testing.assert_array_equal(
+        best_iou(windows, boxes) == 0, is_nothing(windows, boxes, 1e-9, 2)
+    )
+
+
+# ------------------------------------------------------------------- fitting
+
+
+def test_a_window_that_lies_on_cells_has_the_cells_of_the_frame():
+    img = convert_color(textured_image(3, 120, 160), COLOR)
+    cells = cell_features(img)
+    size = WINDOW_ROWS * WINDOW_CELL
+    own = window_features(img, (40, 32, 40 + size, 32 + size), WINDOW_ROWS)
+    np.testing.assert_allclose(own, cells[8:16, 10:18], atol=1e-6)
+
+
+def test_a_template_folds_its_scaling():
+    rng = np.random.default_rng(0)
+    features = rng.normal(4, 3, size=(60, WINDOW_ROWS * 8 * 2)).astype(np.float32)
+    labels = (features[:, 5] > 4).astype(int)
+    template = fit_template(features, labels, 8, C=1.0, seed=0)
+    scores = (features * template.weights.ravel()).sum(axis=1) + template.bias
+    assert template.weights.shape == (WINDOW_ROWS, 8, 2)
+    assert ((scores > 0) == labels).mean() > 0.95
+
+
+def test_regressor_and_scorer_learn_what_is_not_linear():
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(2, 1500, 1))
+    features = np.repeat(np.hstack([x, y]), 75, axis=1) + rng.normal(0, 0.1, size=(1500, 150))
+    features = features.astype(np.float32)
+    radius = np.hypot(x, y)[:, 0]
+    shifts = np.stack([radius, -radius], axis=1) / 10
+    machine = fit_regressor(features[:1000], shifts[:1000], np.random.default_rng(1))
+    error = np.abs(machine.predict(features[1000:]) - shifts[1000:]).mean()
+    assert error < 0.3 * np.abs(shifts[1000:] - shifts.mean(axis=0)).mean()
+    labels = (radius > 1.2).astype(int)
+    scorer = fit_scorer(features[:1000], labels[:1000], np.random.default_rng(1))
+    assert ((scorer.predict(features[1000:])[:, 0] > 0) == labels[1000:]).mean() > 0.9
+
+
+# ---------------------------------------------------------------- end to end
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory):
+    """Some rendered scenes, the last three for testing, and a detector trained on the others."""
+    folder = tmp_path_factory.mktemp("rendered")
+    rows = {"train": [], "test": []}
+    for seed in range(24):
+        part = "train" if seed < 21 else "test"
+        frame, truth = render(random_scene(seed + 300), 0.0)
+        number = seed + 1 if part == "train" else seed - 20
+        write_image(folder / part / f"{number:03d}.png", frame)
+        rows[part] += truth_rows(number, truth)
+    for part, text in rows.items():
+        (folder / f"{part}.txt").write_text("".join(text))
+    command = [
+        sys.executable, "train_detector.py", "--footage", folder / "train", folder / "train.txt",
+        "--out", folder / "detector.npz",
+    ]  # fmt: skip
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    return folder
+
+
+def test_a_detector_of_rendered_scenes_finds_vehicles_in_others(rendered):
+    vehicle = Vehicle(None, rendered / "detector.npz", STILL_SCAN, STILL_TRACKS)
+    rows = []
+    for number in (1, 2, 3):
+        vehicle.reset()
+        img = cv2.cvtColor(cv2.imread(str(rendered / f"test/{number:03d}.png")), cv2.COLOR_BGR2RGB)
+        for left, top, right, bottom in vehicle.detect(img).boxes:
+            rows.append(f"{number},-1,{left},{top},{right - left},{bottom - top},1\n")
+    (rendered / "found.txt").write_text("".join(rows))
+    figures = evaluate(read_rows(rendered / "test.txt"), read_rows(rendered / "found.txt"))
+    # Twenty scenes are few: one in three, where chance would find none.
+    assert figures["recall"] > 0.33 and figures["precision"] > 0.5
+    assert figures["mean IoU"] > 0.65
+
+
+def test_the_same_seed_trains_the_same_detector(rendered):
+    detector = load_detector(rendered / "detector.npz")
+    command = [
+        sys.executable, "train_detector.py",
+        "--footage", rendered / "train", rendered / "train.txt",
+        "--out", rendered / "again.npz",
+    ]  # fmt: skip
+    subprocess.run(command, cwd=ROOT, capture_output=True, check=True)
+    again = load_detector(rendered / "again.npz")
+    np.testing.assert_allclose(detector.templates[0].weights, again.templates[0].weights, atol=1e-5)
+    assert detector.scorer.centers.shape == again.scorer.centers.shape
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (("gone.mp4", "truth.txt"), "gone.mp4: no such"),
+        (("frames", "gone.txt"), "gone.txt: no such file of boxes"),
+        (("frames", "truth.txt", "5:6"), "no frame in 5:6"),
+    ],
+)
+def test_bad_input_is_named(tmp_path, arguments, message):
+    (tmp_path / "truth.txt").write_text("1,1,10,20,30,40,1,3,1\n")
+    write_image(tmp_path / "frames/1.png", textured_image(0, 64, 96))
+    given = [tmp_path / arguments[0], tmp_path / arguments[1], *arguments[2:]]
+    command = [
+        sys.executable, "train_detector.py", "--footage", *given, "--out", tmp_path / "d.npz"
+    ]  # fmt: skip
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert result.returncode == 1 and message in result.stderr.splitlines()[-1]
+    assert result.stderr.splitlines()[-1].startswith("error: ")

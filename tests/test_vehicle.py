@@ -1,0 +1,121 @@
+"""`Vehicle`: the two-stage detector with a memory."""
+
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from conftest import ROOT, random_detector, textured_image
+from detector import save_detector
+from evaluate import Rows, evaluate, read_rows
+from pipeline_functions import identity_color
+from tracks import TrackParams
+from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
+from video import read_frames
+
+EAGER = TrackParams(birth=0.2, most_evidence=2.0, miss_cost=0.7)
+
+
+@pytest.fixture
+def path(tmp_path):
+    """Parameter file of a detector with random weights."""
+    save_detector(random_detector(0), tmp_path / "detector.npz")
+    return tmp_path / "detector.npz"
+
+
+def frames(count, rows=180, columns=320):
+    ground = textured_image(0, rows, columns)
+    for i in range(count):
+        yield np.roll(ground, 2 * i, axis=1)
+
+
+def rows_of(all_detections):
+    """Detections of the frames from 1 on as rows of a MOTChallenge file."""
+    numbers = [np.full(len(d.ids), n) for n, d in enumerate(all_detections, start=1)]
+    return Rows(
+        np.concatenate(numbers),
+        np.concatenate([d.ids for d in all_detections]),
+        np.concatenate([d.boxes for d in all_detections]).astype(float),
+        np.concatenate([d.scores for d in all_detections]),
+    )
+
+
+def test_boxes_are_whole_pixels_of_the_frame_with_identities_of_their_own(path):
+    vehicle = Vehicle(None, path, track_params=EAGER)
+    n_boxes = 0
+    for frame in frames(12):
+        detections = vehicle.detect(frame)
+        boxes, ids = detections.boxes, detections.ids
+        assert boxes.dtype.kind == "i" and boxes.shape == (len(ids), 4)
+        assert (boxes >= 0).all() and (boxes <= (320, 180, 320, 180)).all()
+        assert len(set(ids.tolist())) == len(ids) == len(detections.scores) and (ids > 0).all()
+        assert len(detections.candidates) == len(detections.candidate_evidence)
+        n_boxes += len(boxes)
+    assert n_boxes > 0
+
+
+def test_reset_forgets(path):
+    vehicle = Vehicle(None, path, track_params=EAGER)
+    first = [vehicle.detect(frame) for frame in frames(8)]
+    vehicle.reset()
+    again = [vehicle.detect(frame) for frame in frames(8)]
+    for one, other in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one.boxes, other.boxes)
+        np.testing.assert_array_equal(one.ids, other.ids)
+
+
+def test_frames_of_two_sizes_are_refused(path):
+    vehicle = Vehicle(None, path)
+    vehicle.detect(textured_image(0, 180, 320))
+    with pytest.raises(ValueError, match="after one of"):
+        vehicle.detect(textured_image(0, 360, 640))
+
+
+def test_pictures_show_the_vehicles(path):
+    vehicle = Vehicle(None, path, STILL_SCAN, TrackParams())
+    (frame,) = frames(1)
+    drawn = vehicle.process_image(frame)
+    vehicle.reset()
+    detections = vehicle.detect(frame)
+    left, top, right, bottom = detections.boxes[-1]
+    edge = drawn[bottom - 1, left : right - 1]
+    assert (edge == identity_color(detections.ids[-1])).all()
+    pictures = vehicle.step_pictures(frame, detections)
+    assert len(pictures) == len(vehicle.titles) == 4
+    assert all(picture.shape == frame.shape for picture in pictures)
+    np.testing.assert_array_equal(pictures[3], drawn)
+    assert vehicle.draw_split_screen(frame, detections).shape == frame.shape
+
+
+def test_the_shipped_detector_follows_the_vehicles_of_the_shipped_clip():
+    vehicle = Vehicle(None, ROOT / "param/detector.npz")
+    clip = islice(read_frames(ROOT / "videos/drive.mp4"), 60)
+    found = rows_of([vehicle.detect(frame) for frame in clip])
+    figures = evaluate(read_rows(ROOT / "videos/drive.gt.txt"), found, range(1, 61))
+    assert figures["recall"] > 0.85 and figures["precision"] > 0.95
+    assert figures["mean IoU"] > 0.75 and figures["identity switches"] <= 1
+
+
+def test_the_shipped_detector_finds_vehicles_in_stills():
+    vehicle = Vehicle(None, ROOT / "param/detector.npz", STILL_SCAN, STILL_TRACKS)
+    clip = islice(read_frames(ROOT / "videos/drive.mp4"), 0, 150, 30)
+    truth = read_rows(ROOT / "videos/drive.gt.txt")
+    numbers, found = range(1, 151, 30), []
+    for frame in clip:
+        vehicle.reset()
+        found.append(vehicle.detect(frame))
+    rows = rows_of(found)
+    rows = Rows(np.array(numbers)[rows.frames - 1], rows.ids, rows.boxes, rows.scores)
+    chosen = truth.only(np.isin(truth.frames, numbers))
+    figures = evaluate(chosen, rows, range(1, 151))
+    assert figures["recall"] > 0.8 and figures["precision"] > 0.9
+
+
+def test_an_entering_vehicle_of_the_real_video_is_boxed_within_ten_frames(real_data):
+    # A part of the video that the detector has learned from: whether it works at all.
+    truth = read_rows(real_data / "truth/project_video.gt.txt")
+    vehicle = Vehicle(None, ROOT / "param/detector.npz")
+    clip = islice(read_frames(real_data / "udacity/project_video.mp4"), 240)
+    figures = evaluate(truth, rows_of([vehicle.detect(frame) for frame in clip]), range(1, 241))
+    assert figures["frames to first box"]["1 from 162"] <= 10
+    assert figures["recall"] > 0.9 and figures["false positives"] <= 2

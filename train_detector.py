@@ -1,0 +1,684 @@
+"""Train the two-stage detector on footage with true boxes, and on crops.
+
+    python train_detector.py --footage VIDEO TRUTH 1:630 --footage SCENES TRUTH \\
+        --crops VEHICLES --non-vehicles NON_VEHICLES
+
+footage -> windows -> first stage -> mining -> proposals -> regressor -> scorer
+"""
+
+import argparse
+import sys
+import time
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+from sklearn.decomposition import PCA
+from sklearn.kernel_approximation import Nystroem
+from sklearn.linear_model import Ridge
+from sklearn.metrics.pairwise import rbf_kernel
+from sklearn.preprocessing import StandardScaler
+from sklearn.svm import LinearSVC
+from tqdm import tqdm
+
+from detector import (
+    COLOR,
+    DEFAULT_SCAN,
+    PATCH_CELL,
+    PATCH_CELLS,
+    WINDOW_CELL,
+    WINDOW_COLUMNS,
+    WINDOW_ROWS,
+    Detector,
+    KernelMachine,
+    ScanParams,
+    Template,
+    all_cells,
+    cell_features,
+    inner_cells,
+    level_groups,
+    move_edges,
+    patch_features,
+    propose,
+    save_detector,
+)
+from evaluate import read_rows
+from files import VIDEO_SUFFIXES, find_images, read_image
+from pipeline_functions import convert_color
+from sample_data import in_parallel
+from tracks import pairwise_iou, pairwise_overlap
+from video import read_frames
+
+# A vehicle lower than this shows too little to learn from.
+_LOWEST = 13
+# Boxes that overlap a vehicle more than the first are vehicles, those that
+# overlap it less than the second are none; what lies between teaches neither.
+_VEHICLE_IOU, _NOTHING_IOU = 0.6, 0.4
+# What is scored right by more than this teaches nothing new.
+_SURE = 0.5
+_N_CENTERS = 2000
+_N_COMPONENTS = 120
+
+
+@dataclass(frozen=True)
+class Example:
+    """A frame of footage with its vehicles.
+
+    Attributes
+    ----------
+    source : Path or ndarray
+        Where to read the frame, or the frame itself, RGB.
+    boxes : ndarray of float, shape (n, 4)
+    required : ndarray of bool, shape (n,)
+        The others are ignore regions: neither vehicles nor nothing.
+    """
+
+    source: object
+    boxes: np.ndarray
+    required: np.ndarray
+
+    def read(self):
+        """The frame, RGB."""
+        return read_image(self.source) if isinstance(self.source, Path) else self.source
+
+
+@dataclass(frozen=True)
+class Images:
+    """Files of the training set.
+
+    Attributes
+    ----------
+    crops : list of Path
+        Vehicles cut out tightly and squashed to squares: any shape may have
+        been theirs.
+    square_crops : list of Path
+        Vehicles cut out as squares.
+    non_vehicles : list of Path
+    """
+
+    crops: list
+    square_crops: list
+    non_vehicles: list
+
+
+def parse_arguments(arguments=None):
+    """Command line to a namespace; `--help` explains it."""
+    parser = argparse.ArgumentParser(
+        description="Train the two-stage detector.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    parser.add_argument(
+        "--footage",
+        nargs="+",
+        action="append",
+        required=True,
+        metavar="FOOTAGE TRUTH [A:B[:STEP]]",
+        help="a video or a folder of images, MOTChallenge rows of its vehicles, and which frames "
+        "to learn from; can be given several times",
+    )
+    parser.add_argument(
+        "--crops",
+        nargs="+",
+        default=[],
+        metavar="FOLDER",
+        help="images of vehicles, cut out tightly and squashed to squares, like KITTI's",
+    )
+    parser.add_argument(
+        "--square-crops",
+        nargs="+",
+        default=[],
+        metavar="FOLDER",
+        help="images of vehicles, cut out as squares, like GTI's",
+    )
+    parser.add_argument(
+        "--non-vehicles",
+        nargs="+",
+        default=[],
+        metavar="FOLDER",
+        help="images without vehicles",
+    )
+    parser.add_argument("--out", type=Path, default=Path("param/detector.npz"))
+    parser.add_argument("--seed", type=int, default=0, help="of all that is random")
+    parser.add_argument("--jobs", type=int, default=-1, help="processes; -1: one a core")
+    return parser.parse_args(arguments)
+
+
+# ------------------------------------------------------------------- reading
+
+
+def frame_slice(text):
+    """ "A:B" or "A:B:STEP" to a slice of frame numbers, both ends included."""
+    try:
+        first, last, *step = (int(part) for part in text.split(":"))
+        return slice(first, last, *step)
+    except (TypeError, ValueError):
+        raise ValueError(f"frames are A:B or A:B:STEP, not {text!r}") from None
+
+
+def read_footage(path, truth, frames="1:1000000"):
+    """Frames of a video or of a folder of images, with their true boxes.
+
+    Parameters
+    ----------
+    path, truth : path
+        The n-th image of a folder, in the order of names, is frame n.
+    frames : str
+        See `frame_slice`.
+
+    Returns
+    -------
+    examples : list of Example
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        A file is missing or cannot be read; no frame is left.
+    """
+    path, rows, chosen = Path(path), read_rows(truth), frame_slice(frames)
+    numbers = range(chosen.start, chosen.stop + 1, chosen.step or 1)
+    is_video = path.suffix.lower() in VIDEO_SUFFIXES
+    sources = read_frames(path) if is_video else find_images(path)
+    examples = []
+    for number, source in enumerate(sources, start=1):
+        if number > chosen.stop:
+            break
+        if number in numbers:
+            own = rows.frames == number
+            examples.append(Example(source, rows.boxes[own], rows.scores[own] == 1))
+    if not examples:
+        raise ValueError(f"{path}: no frame in {frames}")
+    return examples
+
+
+# -------------------------------------------------------------- augmentation
+
+
+def random_camera(example, rng):
+    """The frame as another camera might have taken it, in YCrCb, with its boxes.
+
+    Narrower, mirrored, smaller, blurred, of other exposure and colour,
+    compressed: each with a chance of its own.
+
+    Parameters
+    ----------
+    example : Example
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    img : ndarray of uint8, shape (rows, columns, 3)
+    boxes : ndarray of float, shape (n, 4)
+    required : ndarray of bool, shape (n,)
+    """
+    img, boxes, required = example.read(), example.boxes, example.required
+    if rng.random() < 0.4:
+        img, boxes, required = narrowed(img, boxes, required, rng.uniform(0.6, 1))
+    if rng.random() < 0.5:
+        img, boxes = mirrored(img, boxes)
+    if rng.random() < 0.8:
+        scale = np.exp(rng.uniform(np.log(0.4), 0)) if rng.random() < 0.6 else 1
+        img = cv2.resize(img, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        boxes = boxes * scale
+        if rng.random() < 0.4:
+            img = cv2.GaussianBlur(img, (0, 0), rng.uniform(0.3, 1.0))
+        img = random_exposure(img, rng)
+        if rng.random() < 0.5:
+            quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(30, 90))]
+            img = cv2.imdecode(cv2.imencode(".jpg", img, quality)[1], cv2.IMREAD_COLOR)
+    required = required & (boxes[:, 3] - boxes[:, 1] >= _LOWEST)
+    return convert_color(np.ascontiguousarray(img), COLOR), boxes, required
+
+
+def narrowed(img, boxes, required, share):
+    """The left `share` of a frame; vehicles less than half in it are no longer required."""
+    columns = round(img.shape[1] * share)
+    cut = boxes.copy()
+    cut[:, [0, 2]] = np.minimum(boxes[:, [0, 2]], columns)
+    left_over = (cut[:, 2] - cut[:, 0]) / np.maximum(boxes[:, 2] - boxes[:, 0], 1e-9)
+    seen = left_over > 0
+    return img[:, :columns], cut[seen], (required & (left_over >= 0.5))[seen]
+
+
+def mirrored(img, boxes):
+    """Left and right exchanged."""
+    columns = img.shape[1]
+    left, top, right, bottom = boxes.T
+    return img[:, ::-1], np.stack([columns - right, top, columns - left, bottom], axis=1)
+
+
+def random_exposure(img, rng):
+    """Other gain, gamma, haze, white balance and saturation."""
+    if rng.random() < 0.3:
+        return img
+    gain = np.exp(rng.normal(0, 0.06, 3) + rng.normal(0, 0.25))
+    gamma = np.exp(rng.normal(0, 0.25))
+    haze = rng.uniform(0, 0.12) * (rng.random() < 0.4)
+    values = np.clip(gain * np.linspace(0, 1, 256)[:, None], 0, 1) ** gamma
+    curve = 255 * (haze + (1 - haze) * values)
+    img = cv2.LUT(np.ascontiguousarray(img), curve.astype(np.uint8)[None])
+    if rng.random() < 0.45:
+        gray = cv2.cvtColor(cv2.cvtColor(img, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+        saturation = rng.uniform(0.3, 1.4)
+        img = cv2.addWeighted(img, saturation, gray, 1 - saturation, 0)
+    return img
+
+
+def random_crop(path, rng):
+    """An image of the training set as another camera might have taken it, YCrCb."""
+    img = read_image(path)
+    rows, columns = img.shape[:2]
+    if rng.random() < 0.5:
+        img = img[:, ::-1]
+    if rng.random() < 0.6:
+        scale = np.exp(rng.uniform(np.log(0.25), 0))
+        small = max(8, int(columns * scale)), max(8, int(rows * scale))
+        img = cv2.resize(img, small, interpolation=cv2.INTER_AREA)
+    img = cv2.resize(random_exposure(img, rng), (columns, rows), interpolation=cv2.INTER_LINEAR)
+    return convert_color(img, COLOR)
+
+
+def jittered(boxes, spread, rng):
+    """Boxes with every edge moved at random by about `spread` of the size."""
+    shifts = np.clip(rng.normal(0, spread, boxes.shape), -2 * spread, 2 * spread)
+    return move_edges(boxes, shifts)
+
+
+def random_parts(boxes, rng):
+    """A part of each box, half to three quarters as wide and high."""
+    size = boxes[:, 2:] - boxes[:, :2]
+    part = size * rng.uniform(0.5, 0.75, size.shape)
+    corner = boxes[:, :2] + (size - part) * rng.uniform(0, 1, size.shape)
+    return np.hstack([corner, corner + part])
+
+
+# --------------------------------------------------------------- first stage
+
+
+class WindowSamples:
+    """Features of vehicles and of nothing, for each of the three templates."""
+
+    def __init__(self):
+        self._features = [[] for _ in WINDOW_COLUMNS]
+        self._labels = [[] for _ in WINDOW_COLUMNS]
+
+    def add(self, samples):
+        """More windows: (index of the template, features, label) each."""
+        for template, features, label in samples:
+            self._features[template].append(features.ravel())
+            self._labels[template].append(label)
+
+    def fit(self, seed, C=5e-4):
+        """A linear SVM for each template; scaling is folded into its weights."""
+        return tuple(
+            fit_template(np.array(features), np.array(labels), columns, C, seed)
+            for features, labels, columns in zip(
+                self._features, self._labels, WINDOW_COLUMNS, strict=True
+            )
+        )
+
+
+def fit_template(features, labels, columns, C, seed):
+    """Template of a linear SVM; scaling is folded into its weights."""
+    scaler = StandardScaler().fit(features)
+    svm = LinearSVC(C=C, random_state=seed, dual=True).fit(scaler.transform(features), labels)
+    weights = svm.coef_[0] / scaler.scale_
+    bias = float(svm.intercept_[0] - weights @ scaler.mean_)
+    return Template(weights.reshape(WINDOW_ROWS, columns, -1).astype(np.float32), bias)
+
+
+def window_features(img, box, columns):
+    """Cells of a window of a template's shape, cut out of the frame with their surroundings."""
+    left, top, right, bottom = box
+    x, y = (right - left) / columns, (bottom - top) / WINDOW_ROWS
+    # One cell more on each side: gradients at a cut edge are those of nowhere.
+    size = (columns + 2) * WINDOW_CELL, (WINDOW_ROWS + 2) * WINDOW_CELL
+    cut = cut_out(img, (left - x, top - y, right + x, bottom + y), size)
+    return cell_features(cut)[1:-1, 1:-1]
+
+
+def cut_out(img, box, size):
+    """A box of the frame, resized; outside of the frame its edge goes on."""
+    low, high = np.floor(box[:2]).astype(int), np.ceil(box[2:]).astype(int)
+    rows, columns = img.shape[:2]
+    inside = img[max(0, low[1]) : high[1], max(0, low[0]) : high[0]]
+    outside = [max(0, n) for n in (-low[1], high[1] - rows, -low[0], high[0] - columns)]
+    cut = cv2.copyMakeBorder(inside, *outside, cv2.BORDER_REPLICATE)
+    return cv2.resize(cut, size, interpolation=cv2.INTER_AREA)
+
+
+def crop_windows(images, rng):
+    """Yield the training set's images as windows, see `WindowSamples.add`."""
+    shapes = {path: range(len(WINDOW_COLUMNS)) for path in images.crops}
+    shapes |= dict.fromkeys(images.square_crops, [0])
+    for path, templates in tqdm(shapes.items(), "crops", unit="image"):
+        img = random_crop(path, rng)
+        for i in templates:
+            size = WINDOW_COLUMNS[i] * WINDOW_CELL, WINDOW_ROWS * WINDOW_CELL
+            yield i, cell_features(cv2.resize(img, size, interpolation=cv2.INTER_AREA)), 1
+    for path in tqdm(images.non_vehicles, "non-vehicles", unit="image"):
+        img = random_crop(path, rng)
+        for i, columns in enumerate(WINDOW_COLUMNS):
+            rows = img.shape[0] * WINDOW_ROWS // columns
+            top = rng.integers(0, img.shape[0] - rows + 1)
+            size = columns * WINDOW_CELL, WINDOW_ROWS * WINDOW_CELL
+            cut = cv2.resize(img[top : top + rows], size, interpolation=cv2.INTER_AREA)
+            yield i, cell_features(cut), 0
+
+
+def frame_windows(item):
+    """Windows of a frame: its vehicles, and its surroundings at random.
+
+    Parameters
+    ----------
+    item : (Example, numpy.random.Generator)
+
+    Returns
+    -------
+    samples : list
+        See `WindowSamples.add`.
+    """
+    example, rng = item
+    img, boxes, required = random_camera(example, rng)
+    return [
+        *vehicle_windows(img, boxes[required], rng),
+        *surrounding_windows(img, boxes, rng),
+    ]
+
+
+def vehicle_windows(img, boxes, rng):
+    """Yield vehicles of a frame, for the templates whose shape is near theirs."""
+    for box in np.concatenate([jittered(boxes, 0.03, rng) for _ in range(2)]):
+        shape = (box[2] - box[0]) / (box[3] - box[1])
+        for i, columns in enumerate(WINDOW_COLUMNS):
+            if abs(np.log(shape * WINDOW_ROWS / columns)) < np.log(1.35):
+                yield i, window_features(img, box, columns), 1
+
+
+def surrounding_windows(img, boxes, rng, count=6):
+    """Yield windows of a frame with no vehicle in them, at random."""
+    rows, columns = img.shape[:2]
+    low, high = DEFAULT_SCAN.horizon
+    for i, window_columns in enumerate(WINDOW_COLUMNS):
+        height = DEFAULT_SCAN.smallest * columns / 1280 * np.exp(rng.uniform(0, 2.2, count))
+        half = np.stack([height * window_columns / WINDOW_ROWS, height], axis=1) / 2
+        x = rng.uniform(0, columns, count)
+        y = rng.uniform(low * rows - 0.2 * height, high * rows + 0.4 * height)
+        middle = np.stack([x, y], axis=1)
+        windows = np.hstack([middle - half, middle + half])
+        for window in windows[is_nothing(windows, boxes, 0.3, 0.3)]:
+            yield i, window_features(img, window, window_columns), 0
+
+
+def is_nothing(windows, boxes, iou, covered):
+    """Which windows overlap every box by less than an IoU and by less than a share of theirs."""
+    if not len(boxes):
+        return np.ones(len(windows), bool)
+    areas = (windows[:, 2:] - windows[:, :2]).prod(axis=1)
+    share = pairwise_overlap(windows, boxes) / areas[:, None]
+    return (pairwise_iou(windows, boxes).max(axis=1) < iou) & (share.max(axis=1) < covered)
+
+
+def mined_windows(item, templates):
+    """What the first stage takes for vehicles in a frame and is nothing, as `frame_windows`."""
+    example, rng = item
+    img, boxes, _ = random_camera(example, rng)
+    scan = ScanParams(cells_per_step=1, n_groups=1, n_proposals=3, overlap=0.6)
+    windows, _ = propose(img, level_groups(img.shape[:2], scan)[0], templates, scan)
+    samples = []
+    for window in windows[is_nothing(windows, boxes, 0.35, 0.6)]:
+        shape = (window[2] - window[0]) / (window[3] - window[1])
+        i = int(np.argmin(np.abs(np.array(WINDOW_COLUMNS) / WINDOW_ROWS - shape)))
+        samples.append((i, window_features(img, window, WINDOW_COLUMNS[i]), 0))
+    return samples
+
+
+def with_generators(examples, *seed):
+    """Each example with random numbers of its own, the same on any number of cores."""
+    return [(example, np.random.default_rng([*seed, i])) for i, example in enumerate(examples)]
+
+
+def train_templates(examples, images, seed, jobs, rounds=2):
+    """The first stage, with hard negatives mined in rounds."""
+    rng = np.random.default_rng([seed, 1])
+    samples = WindowSamples()
+    samples.add(crop_windows(images, rng))
+    items = with_generators(examples, seed, 2)
+    for found in in_parallel(frame_windows, items, jobs, "windows"):
+        samples.add(found)
+    templates = samples.fit(seed)
+    for mining in range(rounds):
+        chosen = [examples[i] for i in rng.permutation(len(examples))[:300]]
+        items = with_generators(chosen, seed, 3, mining)
+        for found in in_parallel(
+            partial(mined_windows, templates=templates), items, jobs, "mining"
+        ):
+            samples.add(found)
+        templates = samples.fit(seed)
+    return templates
+
+
+# -------------------------------------------------------------- second stage
+
+
+def candidates(img, boxes, required, templates, rng):
+    """Proposals of a frame and its vehicles with edges moved at random.
+
+    Those that may be neither vehicle nor nothing are left out.
+
+    Returns
+    -------
+    windows : ndarray of float, shape (n, 4)
+    """
+    scan = ScanParams(threshold=-1.0, cells_per_step=1, n_groups=1, n_proposals=4, overlap=0.6)
+    windows, _ = propose(img, level_groups(img.shape[:2], scan)[0], templates, scan)
+    vehicles = boxes[required]
+    moved = [jittered(vehicles, spread, rng) for spread in (0.04, 0.1, 0.1)]
+    parts = [random_parts(vehicles, rng) for _ in range(2)]
+    windows = np.concatenate([windows, *moved, *parts])
+    unclear = ~is_nothing(windows, boxes[~required], 0.3, 0.5)
+    return windows[~unclear | (best_iou(windows, vehicles) > 0.5)]
+
+
+def best_iou(windows, boxes):
+    """Largest IoU of each window with any box."""
+    return pairwise_iou(windows, boxes).max(axis=1, initial=0)
+
+
+def edge_samples(item, templates):
+    """Patches around the vehicles of a frame, and the shifts of their edges.
+
+    Parameters
+    ----------
+    item : (Example, numpy.random.Generator)
+    templates : tuple of Template
+
+    Returns
+    -------
+    features : ndarray of float16, shape (n, n_features)
+    shifts : ndarray of float, shape (n, 4)
+        In widths and heights of the patch's box.
+    """
+    example, rng = item
+    img, boxes, required = random_camera(example, rng)
+    vehicles = boxes[required]
+    windows = candidates(img, boxes, required, templates, rng)
+    windows = windows[best_iou(windows, vehicles) > _NOTHING_IOU]
+    own = np.empty((0, 4))
+    if len(windows):
+        own = vehicles[pairwise_iou(windows, vehicles).argmax(axis=1)]
+    size = np.tile(windows[:, 2:] - windows[:, :2], 2)
+    features = all_cells(patch_features(img, windows))
+    return features.astype(np.float16), (own - windows) / size
+
+
+def train_regressor(examples, templates, seed, jobs):
+    """From patches around vehicles to the shifts of their edges."""
+    items = with_generators(examples, seed, 4)
+    found = in_parallel(partial(edge_samples, templates=templates), items, jobs, "edges")
+    features, shifts = map(np.concatenate, zip(*found, strict=True))
+    print(f"edges: {len(features)} patches")
+    return fit_regressor(features, shifts, np.random.default_rng([seed, 5]))
+
+
+def fit_components(features, rng):
+    """Scaling and principal components; as an affine map, float32."""
+    chosen = rng.permutation(len(features))[:15_000]
+    scaler = StandardScaler()
+    # Cells that are nearly always empty would weigh most if they were scaled up.
+    some = scaler.fit_transform(features[chosen].astype(np.float32))
+    scale = np.maximum(scaler.scale_, 0.01)
+    some *= scaler.scale_ / scale
+    pca = PCA(_N_COMPONENTS, svd_solver="randomized", random_state=0).fit(some)
+    projection = (pca.components_ / scale).T
+    offset = -(scaler.mean_ @ projection) - pca.mean_ @ pca.components_.T
+    return projection.astype(np.float32), offset.astype(np.float32)
+
+
+def apply_components(features, projection, offset, n_rows=5000):
+    """Components of many features, a part at a time."""
+    parts = (features[i : i + n_rows] for i in range(0, len(features), n_rows))
+    return np.concatenate([part.astype(np.float32) @ projection + offset for part in parts])
+
+
+def fit_regressor(features, shifts, rng, alpha=0.1):
+    """Ridge regression on Gaussians around some of the samples."""
+    projection, offset = fit_components(features, rng)
+    components = apply_components(features, projection, offset)
+    gamma = 1 / (components.shape[1] * components.var())
+    centers = components[rng.permutation(len(components))[:_N_CENTERS]]
+    ridge = Ridge(alpha=alpha, solver="cholesky").fit(
+        rbf_kernel(components.astype(float), centers.astype(float), gamma), shifts
+    )
+    weights = ridge.coef_.T.astype(np.float32)
+    bias = ridge.intercept_.astype(np.float32)
+    return KernelMachine(projection, offset, centers, weights, bias, float(gamma))
+
+
+def patch_samples(item, templates, regressor, scorer=None):
+    """Patches of a frame where the regressor has moved them, vehicles and nothing.
+
+    Parameters
+    ----------
+    item : (Example, numpy.random.Generator)
+    templates : tuple of Template
+    regressor : KernelMachine
+    scorer : KernelMachine, optional
+        Leave out what it is already sure of, and right.
+
+    Returns
+    -------
+    features : ndarray of float16, shape (n, n_features)
+    labels : ndarray of int, shape (n,)
+    """
+    example, rng = item
+    img, boxes, required = random_camera(example, rng)
+    windows = candidates(img, boxes, required, templates, rng)
+    shifts = regressor.predict(all_cells(patch_features(img, windows)))
+    windows = move_edges(windows, shifts)
+    iou = best_iou(windows, boxes[required])
+    # A part of a vehicle is none, or it would be found beside the whole.
+    nothing = (iou < _NOTHING_IOU) & is_nothing(windows, boxes[~required], 0.3, 0.5)
+    clear = (iou > _VEHICLE_IOU) | nothing
+    features = inner_cells(patch_features(img, windows[clear]))
+    labels = (iou[clear] > _VEHICLE_IOU).astype(int)
+    if scorer is not None:
+        hard = scorer.predict(features)[:, 0] * (2 * labels - 1) < _SURE
+        features, labels = features[hard], labels[hard]
+    return features.astype(np.float16), labels
+
+
+def crop_patches(images, rng):
+    """Yield patches of the training set's images, as `patch_samples`."""
+    whole = np.array([[0.0, 0.0, PATCH_CELLS * PATCH_CELL, PATCH_CELLS * PATCH_CELL]])
+    vehicles = images.crops + images.square_crops
+    labeled = [(path, 1) for path in vehicles * 2] + [(path, 0) for path in images.non_vehicles]
+    for path, label in tqdm(labeled, "crops", unit="image"):
+        features = inner_cells(patch_features(random_crop(path, rng), whole))
+        yield features.astype(np.float16), np.array([label])
+
+
+def train_scorer(examples, images, templates, regressor, seed, jobs, rounds=1):
+    """From the inner cells of patches to vehicle or not, with hard patches mined in rounds."""
+    samples = list(crop_patches(images, np.random.default_rng([seed, 6])))
+    scorer = None
+    for mining in range(rounds + 1):
+        items = with_generators(examples, seed, 7, mining)
+        find = partial(patch_samples, templates=templates, regressor=regressor, scorer=scorer)
+        samples += in_parallel(find, items, jobs, "patches")
+        features, labels = map(np.concatenate, zip(*samples, strict=True))
+        scorer = fit_scorer(features, labels, np.random.default_rng([seed, 8]))
+    return scorer
+
+
+def fit_scorer(features, labels, rng, C=1.0):
+    """Linear SVM on the map that approximates an RBF kernel by some of the samples.
+
+    A kernel SVM on as many samples would keep thousands of support vectors,
+    and each costs time in every frame.
+
+    References
+    ----------
+    .. [1] C. Williams and M. Seeger, "Using the Nystroem Method to Speed Up
+           Kernel Machines", NIPS 2000.
+    """
+    print(f"patches: {len(labels)}, {labels.mean():.0%} vehicles")
+    projection, offset = fit_components(features, rng)
+    components = apply_components(features, projection, offset)
+    gamma = 1 / (components.shape[1] * components.var())
+    centers = components[rng.permutation(len(components))[:_N_CENTERS]]
+    nystroem = Nystroem(gamma=gamma, n_components=len(centers), random_state=0).fit(centers)
+    mapped = nystroem.transform(components).astype(np.float32)
+    svm = LinearSVC(C=C, dual=False, class_weight="balanced", max_iter=200).fit(mapped, labels)
+    weights = (nystroem.normalization_.T @ svm.coef_[0])[:, None].astype(np.float32)
+    centers = nystroem.components_.astype(np.float32)
+    bias = svm.intercept_.astype(np.float32)
+    return KernelMachine(projection, offset, centers, weights, bias, float(gamma))
+
+
+def train_detector(examples, images, seed=0, jobs=-1):
+    """Both stages, one after the other.
+
+    Parameters
+    ----------
+    examples : list of Example
+    images : Images
+    seed : int
+    jobs : int
+        Processes; -1 for one a core.
+
+    Returns
+    -------
+    detector : Detector
+    """
+    templates = train_templates(examples, images, seed, jobs)
+    regressor = train_regressor(examples, templates, seed, jobs)
+    scorer = train_scorer(examples, images, templates, regressor, seed, jobs)
+    return Detector(templates, scorer, regressor)
+
+
+def images_of_folders(folders):
+    """All images of some folders, see `files.find_images`."""
+    return [path for folder in folders for path in find_images(folder)]
+
+
+def main():
+    """Run the command line."""
+    arguments = parse_arguments()
+    start = time.perf_counter()
+    try:
+        examples = [e for footage in arguments.footage for e in read_footage(*footage)]
+        folders = arguments.crops, arguments.square_crops, arguments.non_vehicles
+        images = Images(*map(images_of_folders, folders))
+        print(f"{len(examples)} frames", *(f"{len(v)} {k}" for k, v in vars(images).items()))
+        save_detector(
+            train_detector(examples, images, arguments.seed, arguments.jobs), arguments.out
+        )
+    except (OSError, ValueError) as error:
+        sys.exit(f"error: {error}")
+    print(f"wrote {arguments.out} after {time.perf_counter() - start:.0f} s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,268 @@
+"""The two-stage detector with a memory: frames in, vehicles out.
+
+proposals and known vehicles -> a closer look -> tracks -> vehicles
+"""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+import calibrate
+from detector import (
+    COLOR,
+    DEFAULT_SCAN,
+    ScanParams,
+    are_plausible,
+    keep_wholes,
+    level_groups,
+    load_detector,
+    look_closer,
+    propose,
+)
+from pipeline_functions import convert_color, draw_boxes, draw_vehicles
+from tracks import Tracker, TrackParams, pairwise_iou
+
+DEFAULT_TRACKS = TrackParams(
+    min_iou=0.2, max_missed=75, measurement_noise=0.1, process_noise=0.01,
+    birth=4.0, most_evidence=8.0, miss_cost=0.7,
+)  # fmt: skip
+# A still is searched at all scales at once, and has no other frame to agree with.
+STILL_SCAN = ScanParams(n_groups=1)
+STILL_TRACKS = TrackParams(birth=0.5)
+
+# A proposal that overlaps a known vehicle this much shows nothing else.
+_SAME_IOU = 0.6
+# Where two boxes are rivals, the one that goes on with a track is believed more.
+_TRUST_IN_TRACKS = 0.3
+
+
+@dataclass(frozen=True)
+class Detections:
+    """What was found in one frame, step by step.
+
+    Attributes
+    ----------
+    proposals : ndarray of float, shape (n, 4)
+        Windows of the first stage, in pixels of the frame as read, like all boxes.
+    candidates : ndarray of float, shape (m, 4)
+        Where the closer look has moved them and the known vehicles, without
+        those that are part of a better one.
+    candidate_scores, candidate_evidence : ndarray of float, shape (m,)
+        Decision function of each; evidence of the track it belongs to, 0 for none.
+    boxes : ndarray of int, shape (k, 4)
+    scores : ndarray of float, shape (k,)
+        Decision function.
+    ids : ndarray of int, shape (k,)
+        Identity of each vehicle, from 1, the same in every frame.
+    """
+
+    proposals: np.ndarray
+    candidates: np.ndarray
+    candidate_scores: np.ndarray
+    candidate_evidence: np.ndarray
+    boxes: np.ndarray
+    scores: np.ndarray
+    ids: np.ndarray
+
+
+class Vehicle:
+    """Finds vehicles in the frames of one video, handed over in order.
+
+    Frames are searched as the camera gave them. A calibration straightens
+    only the picture that is drawn: undistorting before the search would cut
+    off vehicles that enter at the border.
+
+    Parameters
+    ----------
+    path_calib : path or None
+        Calibration of `calibrate.py`; None draws on the frame as it is.
+    path_param : path
+        Detector of `train_detector.py`.
+    scan : ScanParams
+    track_params : TrackParams
+        How candidates of one frame go on with those of the frames before, and
+        how much evidence makes a vehicle of them.
+    """
+
+    titles = ("windows of the first stage", "moved and scored", "evidence", "vehicles")
+
+    def __init__(
+        self,
+        path_calib=None,
+        path_param="param/detector.npz",
+        scan=DEFAULT_SCAN,
+        track_params=DEFAULT_TRACKS,
+    ):
+        self.calibration = None
+        if path_calib is not None:
+            self.load_calibration(path_calib)
+        self.scan = scan
+        self.track_params = track_params
+        self.load_param_detect(path_param)
+
+    def load_calibration(self, path):
+        """Read a calibration, see `calibrate.load_calibration`."""
+        self.calibration = calibrate.load_calibration(path)
+        self._maps = {}
+
+    def load_param_detect(self, path):
+        """Read a detector, see `detector.load_detector`; forgets all frames."""
+        self.detector = load_detector(path)
+        self.reset()
+
+    def reset(self):
+        """Forget all frames: the next one begins another video."""
+        self._frame_shape = None
+        self._n_frames = 0
+        self._tracker = Tracker(self.track_params)
+
+    def process_image(self, rgb_frame):
+        """The next frame of the video, its vehicles boxed in colours of their own.
+
+        Parameters
+        ----------
+        rgb_frame : ndarray of uint8, shape (rows, columns, 3)
+
+        Returns
+        -------
+        rgb_frame : ndarray of uint8, shape (rows, columns, 3)
+            Undistorted if there is a calibration.
+        """
+        return self.draw(rgb_frame, self.detect(rgb_frame))
+
+    def detect(self, rgb_frame):
+        """Search the next frame of the video.
+
+        Parameters
+        ----------
+        rgb_frame : ndarray of uint8, shape (rows, columns, 3)
+
+        Returns
+        -------
+        detections : Detections
+
+        Raises
+        ------
+        ValueError
+            The frame is of another size than the one before, or too small.
+        """
+        self._require_same_size(rgb_frame)
+        img = convert_color(rgb_frame, COLOR)
+        proposals = self._propose(img)
+        self._n_frames += 1
+        rows, columns = img.shape[:2]
+        # Truth ends where the frame ends, and so does what was learned from it.
+        expected = np.clip(self._tracker.predict(), 0, (columns, rows, columns, rows))
+        expected = expected[are_plausible(expected, img.shape, self.scan)]
+        fresh = pairwise_iou(proposals, expected).max(axis=1, initial=0) < _SAME_IOU
+        looked_at = np.concatenate([expected, proposals[fresh]])
+        boxes, scores = look_closer(img, looked_at, self.detector)
+        trusted = scores + _TRUST_IN_TRACKS * (np.arange(len(boxes)) < len(expected))
+        plausible = np.flatnonzero(are_plausible(boxes, img.shape, self.scan))
+        kept = plausible[keep_wholes(boxes[plausible], trusted[plausible])]
+        return self._follow(proposals, boxes[kept], scores[kept])
+
+    def _propose(self, img):
+        """Proposals of a group of levels, of all of them in the first frame."""
+        scan = self.scan
+        if self._n_frames == 0:
+            scan = replace(scan, n_groups=1)
+        groups = level_groups(img.shape[:2], scan)
+        levels = groups[self._n_frames % len(groups)]
+        return propose(img, levels, self.detector.templates, scan)[0]
+
+    def _require_same_size(self, rgb_frame):
+        if self._frame_shape not in (None, rgb_frame.shape):
+            raise ValueError(f"a frame of {rgb_frame.shape} after one of {self._frame_shape}")
+        self._frame_shape = rgb_frame.shape
+
+    def _follow(self, proposals, candidates, scores):
+        """Hand the candidates of a frame to the tracks; vehicles are those with evidence."""
+        tracks = self._tracker.update(candidates, scores)
+        evidence = np.array([track.evidence if track else 0 for track in tracks])
+        shown = [i for i, track in enumerate(tracks) if track and track.is_shown]
+        rows, columns = self._frame_shape[:2]
+        boxes = np.array([tracks[i].box for i in shown]).reshape(-1, 4)
+        boxes = np.clip(np.rint(boxes), 0, (columns, rows, columns, rows)).astype(int)
+        ids = np.array([tracks[i].identity for i in shown], int)
+        return Detections(proposals, candidates, scores, evidence, boxes, scores[shown], ids)
+
+    def draw(self, rgb_frame, detections):
+        """Vehicles on the frame, then undistortion if there is a calibration."""
+        return self.undistort(draw_vehicles(rgb_frame, detections.boxes, detections.ids))
+
+    def step_pictures(self, rgb_frame, detections):
+        """What `titles` name, each drawn on the frame.
+
+        Returns
+        -------
+        pictures : list of four ndarray of uint8, shape (rows, columns, 3)
+        """
+        candidates, evidence = detections.candidates, detections.candidate_evidence
+        followed = evidence > 0
+        birth = self.track_params.birth
+        pictures = [
+            draw_boxes(rgb_frame, detections.proposals, thickness=2),
+            draw_rated(rgb_frame, candidates, detections.candidate_scores, 0),
+            draw_rated(rgb_frame, candidates[followed], evidence[followed], birth),
+            draw_vehicles(rgb_frame, detections.boxes, detections.ids),
+        ]
+        return [self.undistort(picture) for picture in pictures]
+
+    def draw_split_screen(self, rgb_frame, detections):
+        """The four of `step_pictures` in one picture as large as the frame.
+
+        Returns
+        -------
+        picture : ndarray of uint8, shape (rows, columns, 3)
+        """
+        rows, columns = rgb_frame.shape[:2]
+        picture = np.zeros_like(rgb_frame)
+        quarter = columns // 2, rows // 2
+        for i, step in enumerate(self.step_pictures(rgb_frame, detections)):
+            tile = draw_title(
+                cv2.resize(step, quarter, interpolation=cv2.INTER_AREA), self.titles[i]
+            )
+            top, left = i // 2 * quarter[1], i % 2 * quarter[0]
+            picture[top : top + quarter[1], left : left + quarter[0]] = tile
+        return picture
+
+    def undistort(self, rgb_frame):
+        """The frame as a pinhole camera would see it; as it is without calibration."""
+        if self.calibration is None:
+            return rgb_frame
+        if rgb_frame.shape not in self._maps:
+            self._maps[rgb_frame.shape] = self.calibration.maps(rgb_frame.shape)
+        return cv2.remap(rgb_frame, *self._maps[rgb_frame.shape], cv2.INTER_LINEAR)
+
+
+def draw_rated(img, boxes, values, threshold):
+    """Boxes with a number each: green from the threshold on, red below.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        RGB.
+    boxes : ndarray, shape (n, 4)
+    values : ndarray of float, shape (n,)
+    threshold : float
+    """
+    font_scale = img.shape[0] / 900
+    for box, value in zip(boxes, values, strict=True):
+        color = (0, 200, 0) if value >= threshold else (255, 60, 60)
+        img = draw_boxes(img, [box], color, thickness=2)
+        place = round(box[0]), round(max(box[1] - 4, 20 * font_scale))
+        font = cv2.FONT_HERSHEY_SIMPLEX
+        cv2.putText(img, f"{value:.1f}", place, font, font_scale, color, 2, cv2.LINE_AA)
+    return img
+
+
+def draw_title(img, title):
+    """The image with a line of text at its top left."""
+    size = img.shape[0] / 500
+    place = round(20 * size), round(30 * size)
+    for color, shift in (((0, 0, 0), 1), ((255, 255, 255), 0)):
+        where = place[0] + shift, place[1] + shift
+        img = cv2.putText(img, title, where, cv2.FONT_HERSHEY_SIMPLEX, size, color, 1, cv2.LINE_AA)
+    return img
