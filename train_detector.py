@@ -85,11 +85,12 @@ class Example:
 
 
 @dataclass(frozen=True)
-class Images:
-    """Files of the training set.
+class TrainingSet:
+    """All that is learned from.
 
     Attributes
     ----------
+    examples : list of Example
     crops : list of Path
         Vehicles cut out tightly and squashed to squares: any shape may have
         been theirs.
@@ -98,6 +99,7 @@ class Images:
     non_vehicles : list of Path
     """
 
+    examples: list
     crops: list
     square_crops: list
     non_vehicles: list
@@ -348,16 +350,16 @@ def cut_out(img, box, size):
     return cv2.resize(cut, size, interpolation=cv2.INTER_AREA)
 
 
-def crop_windows(images, rng):
+def crop_windows(training_set, rng):
     """Yield the training set's images as windows, see `WindowSamples.add`."""
-    shapes = {path: range(len(WINDOW_COLUMNS)) for path in images.crops}
-    shapes |= dict.fromkeys(images.square_crops, [0])
+    shapes = {path: range(len(WINDOW_COLUMNS)) for path in training_set.crops}
+    shapes |= dict.fromkeys(training_set.square_crops, [0])
     for path, templates in tqdm(shapes.items(), "crops", unit="image"):
         img = random_crop(path, rng)
         for i in templates:
             size = WINDOW_COLUMNS[i] * WINDOW_CELL, WINDOW_ROWS * WINDOW_CELL
             yield i, cell_features(cv2.resize(img, size, interpolation=cv2.INTER_AREA)), 1
-    for path in tqdm(images.non_vehicles, "non-vehicles", unit="image"):
+    for path in tqdm(training_set.non_vehicles, "non-vehicles", unit="image"):
         img = random_crop(path, rng)
         for i, columns in enumerate(WINDOW_COLUMNS):
             rows = img.shape[0] * WINDOW_ROWS // columns
@@ -439,11 +441,12 @@ def with_generators(examples, *seed):
     return [(example, np.random.default_rng([*seed, i])) for i, example in enumerate(examples)]
 
 
-def train_templates(examples, images, seed, jobs, rounds=2):
+def train_templates(training_set, seed, jobs, rounds=2):
     """The first stage, with hard negatives mined in rounds."""
     rng = np.random.default_rng([seed, 1])
     samples = WindowSamples()
-    samples.add(crop_windows(images, rng))
+    samples.add(crop_windows(training_set, rng))
+    examples = training_set.examples
     items = with_generators(examples, seed, 2)
     for found in in_parallel(frame_windows, items, jobs, "windows"):
         samples.add(found)
@@ -589,22 +592,22 @@ def patch_samples(item, templates, regressor, scorer=None):
     return features.astype(np.float16), labels
 
 
-def crop_patches(images, rng):
+def crop_patches(training_set, rng):
     """Yield patches of the training set's images, as `patch_samples`."""
     whole = np.array([[0.0, 0.0, PATCH_CELLS * PATCH_CELL, PATCH_CELLS * PATCH_CELL]])
-    vehicles = images.crops + images.square_crops
-    labeled = [(path, 1) for path in vehicles * 2] + [(path, 0) for path in images.non_vehicles]
+    labeled = [(path, 1) for path in 2 * (training_set.crops + training_set.square_crops)]
+    labeled += [(path, 0) for path in training_set.non_vehicles]
     for path, label in tqdm(labeled, "crops", unit="image"):
         features = inner_cells(patch_features(random_crop(path, rng), whole))
         yield features.astype(np.float16), np.array([label])
 
 
-def train_scorer(examples, images, templates, regressor, seed, jobs, rounds=1):
+def train_scorer(training_set, templates, regressor, seed, jobs, rounds=1):
     """From the inner cells of patches to vehicle or not, with hard patches mined in rounds."""
-    samples = list(crop_patches(images, np.random.default_rng([seed, 6])))
+    samples = list(crop_patches(training_set, np.random.default_rng([seed, 6])))
     scorer = None
     for mining in range(rounds + 1):
-        items = with_generators(examples, seed, 7, mining)
+        items = with_generators(training_set.examples, seed, 7, mining)
         find = partial(patch_samples, templates=templates, regressor=regressor, scorer=scorer)
         samples += in_parallel(find, items, jobs, "patches")
         features, labels = map(np.concatenate, zip(*samples, strict=True))
@@ -637,13 +640,12 @@ def fit_scorer(features, labels, rng, C=1.0):
     return KernelMachine(projection, offset, centers, weights, bias, float(gamma))
 
 
-def train_detector(examples, images, seed=0, jobs=-1):
+def train_detector(training_set, seed=0, jobs=-1):
     """Both stages, one after the other.
 
     Parameters
     ----------
-    examples : list of Example
-    images : Images
+    training_set : TrainingSet
     seed : int
     jobs : int
         Processes; -1 for one a core.
@@ -652,9 +654,9 @@ def train_detector(examples, images, seed=0, jobs=-1):
     -------
     detector : Detector
     """
-    templates = train_templates(examples, images, seed, jobs)
-    regressor = train_regressor(examples, templates, seed, jobs)
-    scorer = train_scorer(examples, images, templates, regressor, seed, jobs)
+    templates = train_templates(training_set, seed, jobs)
+    regressor = train_regressor(training_set.examples, templates, seed, jobs)
+    scorer = train_scorer(training_set, templates, regressor, seed, jobs)
     return Detector(templates, scorer, regressor)
 
 
@@ -670,11 +672,10 @@ def main():
     try:
         examples = [e for footage in arguments.footage for e in read_footage(*footage)]
         folders = arguments.crops, arguments.square_crops, arguments.non_vehicles
-        images = Images(*map(images_of_folders, folders))
-        print(f"{len(examples)} frames", *(f"{len(v)} {k}" for k, v in vars(images).items()))
-        save_detector(
-            train_detector(examples, images, arguments.seed, arguments.jobs), arguments.out
-        )
+        training_set = TrainingSet(examples, *map(images_of_folders, folders))
+        print(", ".join(f"{len(v)} {k}" for k, v in vars(training_set).items()))
+        detector = train_detector(training_set, arguments.seed, arguments.jobs)
+        save_detector(detector, arguments.out)
     except (OSError, ValueError) as error:
         sys.exit(f"error: {error}")
     print(f"wrote {arguments.out} after {time.perf_counter() - start:.0f} s")
