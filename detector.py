@@ -81,7 +81,7 @@ class ScanParams:
     cells_per_step: int = 2
     n_groups: int = 6
     threshold: float = -0.5
-    n_proposals: int = 5
+    n_proposals: int = 6
     overlap: float = 0.5
 
     def __post_init__(self):
@@ -502,6 +502,27 @@ def keep_wholes(boxes, scores, overlap=0.45, covered=0.7):
         if not rival[i, kept].any():
             kept.append(i)
     return np.array(kept, int)
+
+
+def stand_on_road(boxes, horizon):
+    """Which boxes could frame a vehicle that stands on the road.
+
+    On a flat road the bottom of a vehicle lies below the horizon by its
+    height in pixels times h / H, h being the height of the camera and H that
+    of the vehicle, both in metres: about 0.8 for cars, 0.3 for lorries. Signs
+    and bridges have their bottom above it.
+
+    Parameters
+    ----------
+    boxes : ndarray of float, shape (n, 4)
+    horizon : float
+        Row in which the road vanishes.
+
+    Returns
+    -------
+    standing : ndarray of bool, shape (n,)
+    """
+    return boxes[:, 3] - horizon > 0.2 * (boxes[:, 3] - boxes[:, 1])
 
 
 def are_plausible(boxes, frame_shape, scan):

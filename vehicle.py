@@ -3,6 +3,7 @@
 proposals and known vehicles -> a closer look -> tracks -> vehicles
 """
 
+from collections import deque
 from dataclasses import dataclass, replace
 
 import cv2
@@ -19,6 +20,7 @@ from detector import (
     load_detector,
     look_closer,
     propose,
+    stand_on_road,
 )
 from pipeline_functions import convert_color, draw_boxes, draw_vehicles
 from tracks import Tracker, TrackParams, pairwise_iou
@@ -28,13 +30,18 @@ DEFAULT_TRACKS = TrackParams(
     birth=4.0, most_evidence=8.0, miss_cost=0.7,
 )  # fmt: skip
 # A still is searched at all scales at once, and has no other frame to agree with.
-STILL_SCAN = ScanParams(n_groups=1)
+STILL_SCAN = ScanParams(cells_per_step=1, n_groups=1, n_proposals=12)
 STILL_TRACKS = TrackParams(birth=0.5)
 
 # A proposal that overlaps a known vehicle this much shows nothing else.
 _SAME_IOU = 0.6
 # Where two boxes are rivals, the one that goes on with a track is believed more.
 _TRUST_IN_TRACKS = 0.3
+
+# Height of a camera behind the windscreen by that of a car. Only vehicles
+# tell where the horizon is, and they do so from some fifty boxes on.
+_CAMERA_TO_CAR = 0.8
+_ENOUGH_HORIZONS, _MOST_HORIZONS = 50, 500
 
 
 @dataclass(frozen=True)
@@ -116,6 +123,8 @@ class Vehicle:
         self._frame_shape = None
         self._n_frames = 0
         self._tracker = Tracker(self.track_params)
+        # Where vehicles of late say that the road vanishes.
+        self._horizons = deque(maxlen=_MOST_HORIZONS)
 
     def process_image(self, rgb_frame):
         """The next frame of the video, its vehicles boxed in colours of their own.
@@ -159,7 +168,10 @@ class Vehicle:
         looked_at = np.concatenate([expected, proposals[fresh]])
         boxes, scores = look_closer(img, looked_at, self.detector)
         trusted = scores + _TRUST_IN_TRACKS * (np.arange(len(boxes)) < len(expected))
-        plausible = np.flatnonzero(are_plausible(boxes, img.shape, self.scan))
+        plausible = are_plausible(boxes, img.shape, self.scan)
+        if len(self._horizons) > _ENOUGH_HORIZONS:
+            plausible &= stand_on_road(boxes, np.median(self._horizons))
+        plausible = np.flatnonzero(plausible)
         kept = plausible[keep_wholes(boxes[plausible], trusted[plausible])]
         return self._follow(proposals, boxes[kept], scores[kept])
 
@@ -184,6 +196,7 @@ class Vehicle:
         shown = [i for i, track in enumerate(tracks) if track and track.is_shown]
         rows, columns = self._frame_shape[:2]
         boxes = np.array([tracks[i].box for i in shown]).reshape(-1, 4)
+        self._horizons.extend(boxes[:, 3] - _CAMERA_TO_CAR * (boxes[:, 3] - boxes[:, 1]))
         boxes = np.clip(np.rint(boxes), 0, (columns, rows, columns, rows)).astype(int)
         ids = np.array([tracks[i].identity for i in shown], int)
         return Detections(proposals, candidates, scores, evidence, boxes, scores[shown], ids)

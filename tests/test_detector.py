@@ -34,6 +34,7 @@ from detector import (
     patch_features,
     propose,
     save_detector,
+    stand_on_road,
     suppress,
     window_scores,
 )
@@ -284,6 +285,15 @@ def test_plausible_boxes_frame_a_vehicle():
     assert plausible.tolist() == [True, False, False, False, False, False, True]
     half = are_plausible(boxes / 2, (360, 640, 3), ScanParams(smallest=32, largest=400))
     np.testing.assert_array_equal(plausible, half)
+
+
+def test_a_sign_above_the_horizon_stands_on_no_road():
+    # A car, a lorry, a sign, and a bridge of which the horizon is at the bottom.
+    boxes = np.array(
+        [(0, 390, 60, 440), (0, 320, 60, 420), (0, 300, 60, 410), (0, 300, 99, 400)], float
+    )
+    assert stand_on_road(boxes, 400.0).tolist() == [True, False, False, False]
+    assert stand_on_road(boxes, 390.0).tolist() == [True, True, False, False]
 
 
 # ---------------------------------------------------------------------- file
