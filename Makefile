@@ -24,7 +24,7 @@ all: notebooks
 	$(BIN)/pip install --quiet --disable-pip-version-check -r requirements.txt
 	touch $@
 
-$(SAMPLE)/rendered: .venv/installed
+$(SAMPLE)/rendered: .venv/installed render.py sample_data.py
 	$(BIN)/python sample_data.py $(SAMPLE)
 	touch $@
 

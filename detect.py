@@ -186,11 +186,15 @@ def add_search_options(parser):
     """Options of the way of the write-ups."""
     group = parser.add_argument_group("the write-ups' way", "only with --filter G or B")
     group.add_argument(
-        "--search", choices=SEARCH_PRESETS, help="scales and bands of write-up G, the default, or B"
+        "--search",
+        choices=SEARCH_PRESETS,
+        default=argparse.SUPPRESS,
+        help="scales and bands of write-up G (default) or B",
     )
     group.add_argument(
         "--horizon",
         type=share,
+        default=argparse.SUPPRESS,
         metavar="SHARE",
         help="where the road vanishes, as a share of the picture's height (0.57, say): visit "
         "only windows that could frame a vehicle on the road",
@@ -198,6 +202,7 @@ def add_search_options(parser):
     group.add_argument(
         "--scan-every",
         type=int,
+        default=argparse.SUPPRESS,
         metavar="N",
         help="visit all windows in every Nth frame, in others only those near known vehicles",
     )
@@ -221,6 +226,7 @@ def parse_arguments(arguments=None):
     parser.add_argument(
         "--param",
         type=Path,
+        default=argparse.SUPPRESS,
         help="from train_detector.py (default: param/detector.npz) or, with --filter G or B, "
         "from train.py (default: param/svc_pickle.p)",
     )
@@ -242,10 +248,10 @@ def parse_arguments(arguments=None):
 
 def chosen_search(arguments):
     """The preset search, with what the command line changes of it."""
-    search = SEARCH_PRESETS[arguments.search or "G"]
-    if arguments.horizon is not None:
+    search = SEARCH_PRESETS[getattr(arguments, "search", "G")]
+    if "horizon" in arguments:
         search = replace(search, horizon=arguments.horizon * search.reference_size[1])
-    if arguments.scan_every is not None:
+    if "scan_every" in arguments:
         search = replace(search, scan_every=arguments.scan_every)
     return search
 
@@ -260,18 +266,23 @@ def open_vehicle(arguments, is_still):
     is_still : bool
         For pictures on their own instead of a video.
 
+    Returns
+    -------
+    vehicle : Vehicle
+
     Raises
     ------
-    ValueError
-        An option does not go with the filter.
+    FileNotFoundError, ValueError
+        A parameter file is missing or of another kind; an option does not go
+        with the filter.
     """
     if arguments.filter == "tracks":
         for name in ("search", "horizon", "scan_every"):
-            if getattr(arguments, name) is not None:
+            if name in arguments:
                 raise ValueError(f"--{name.replace('_', '-')} goes with --filter G or B only")
-        paths = arguments.calib, arguments.param or Path("param/detector.npz")
+        paths = arguments.calib, getattr(arguments, "param", Path("param/detector.npz"))
         return Vehicle(*paths, STILL_SCAN, STILL_TRACKS) if is_still else Vehicle(*paths)
-    paths = arguments.calib, arguments.param or Path("param/svc_pickle.p")
+    paths = arguments.calib, getattr(arguments, "param", Path("param/svc_pickle.p"))
     heat_filter = FILTER_PRESETS["still" if is_still else arguments.filter]
     return HeatVehicle(*paths, chosen_search(arguments), heat_filter)
 

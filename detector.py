@@ -106,7 +106,7 @@ class Template:
 
     Attributes
     ----------
-    weights : ndarray of float32, shape (rows, columns, ORIENTATIONS + 3)
+    weights : ndarray of float32, shape (rows, columns, CELL_FEATURES)
     bias : float
     """
 
@@ -259,11 +259,11 @@ def cell_features(img):
 
     Returns
     -------
-    features : ndarray of float32, shape (cell rows, cell columns, ORIENTATIONS + 3)
+    features : ndarray of float32, shape (cell rows, cell columns, CELL_FEATURES)
     """
     hog = hog_blocks(img[..., :1], ORIENTATIONS, WINDOW_CELL, 1)[0, :, :, 0, 0]
     rows, columns, _ = hog.shape
-    features = np.empty((rows, columns, ORIENTATIONS + 3), np.float32)
+    features = np.empty((rows, columns, CELL_FEATURES), np.float32)
     features[:, :, :ORIENTATIONS] = hog
     whole = img[: rows * WINDOW_CELL, : columns * WINDOW_CELL]
     means = cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA)
@@ -294,7 +294,7 @@ def window_scores(features, template, step):
 
     Parameters
     ----------
-    features : ndarray of float32, shape (rows, columns, ORIENTATIONS + 3)
+    features : ndarray of float32, shape (rows, columns, CELL_FEATURES)
     template : Template
     step : int
         In cells.
@@ -581,6 +581,7 @@ def load_detector(path):
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such parameter file: run train_detector.py to make it")
+    # What is no such archive can fail in any way whatever.
     try:
         with np.load(path) as arrays:
             if arrays["format_version"] != FORMAT_VERSION:
@@ -589,13 +590,29 @@ def load_detector(path):
                 Template(arrays[f"template{i}_weights"], float(arrays[f"template{i}_bias"]))
                 for i in range(len(WINDOW_COLUMNS))
             )
-            machines = [_read_machine(arrays, name) for name in ("scorer", "regressor")]
-    except (KeyError, OSError, ValueError) as error:
+            scorer = _read_machine(arrays, "scorer", PATCH_CELLS**2 * PATCH_FEATURES, 1)
+            regressor = _read_machine(arrays, "regressor", PATCH_SIDE**2 * PATCH_FEATURES, 4)
+        for template, columns in zip(templates, WINDOW_COLUMNS, strict=True):
+            _require_shape(template.weights, (WINDOW_ROWS, columns, CELL_FEATURES))
+    except Exception as error:
         raise ValueError(f"{path}: not a parameter file of train_detector.py: {error}") from error
-    return Detector(templates, *machines)
+    return Detector(templates, scorer, regressor)
 
 
-def _read_machine(arrays, name):
+def _require_shape(array, shape):
+    # Compiled code looks at no bounds.
+    if array.shape != shape:
+        raise ValueError(f"an array of {array.shape} instead of {shape}")
+
+
+def _read_machine(arrays, name, n_features, n_outputs):
     fields = ("projection", "offset", "centers", "weights", "bias")
     values = [arrays[f"{name}_{field}"].astype(np.float32) for field in fields]
+    n_components, n_centers = len(values[1]), len(values[2])
+    shapes = (
+        (n_features, n_components), (n_components,), (n_centers, n_components),
+        (n_centers, n_outputs), (n_outputs,),
+    )  # fmt: skip
+    for array, shape in zip(values, shapes, strict=True):
+        _require_shape(array, shape)
     return KernelMachine(*values, gamma=float(arrays[f"{name}_gamma"]))

@@ -43,7 +43,9 @@ def parse_arguments(arguments=None):
     parser.add_argument(
         "--only", nargs="+", choices=PARTS, default=list(PARTS), help="parts to render"
     )
-    parser.add_argument("--scenes", type=int, default=260, help="scenes to cut images from")
+    parser.add_argument(
+        "--scenes", type=int, default=260, help="scenes to write, and to cut images from"
+    )
     parser.add_argument("--seconds", type=float, default=20, help="length of the video")
     parser.add_argument("--jobs", type=int, default=-1, help="processes; -1: one a core")
     return parser.parse_args(arguments)

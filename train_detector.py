@@ -49,6 +49,7 @@ from files import VIDEO_SUFFIXES, find_images, read_image
 from pipeline_functions import convert_color
 from sample_data import in_parallel
 from tracks import pairwise_iou, pairwise_overlap
+from training_images import read_window
 from video import read_frames
 
 # A vehicle lower than this shows too little to learn from.
@@ -56,6 +57,7 @@ _LOWEST = 13
 # Boxes that overlap a vehicle more than the first are vehicles, those that
 # overlap it less than the second are none; what lies between teaches neither.
 _VEHICLE_IOU, _NOTHING_IOU = 0.6, 0.4
+_CROP_SIDE = PATCH_CELLS * PATCH_CELL
 # What is scored right by more than this teaches nothing new.
 _SURE = 0.5
 _N_CENTERS = 2000
@@ -150,11 +152,11 @@ def parse_arguments(arguments=None):
 # ------------------------------------------------------------------- reading
 
 
-def frame_slice(text):
-    """ "A:B" or "A:B:STEP" to a slice of frame numbers, both ends included."""
+def frame_range(text):
+    """ "A:B" or "A:B:STEP" to a range of frame numbers, both ends included."""
     try:
         first, last, *step = (int(part) for part in text.split(":"))
-        return slice(first, last, *step)
+        return range(first, last + 1, *step)
     except (TypeError, ValueError):
         raise ValueError(f"frames are A:B or A:B:STEP, not {text!r}") from None
 
@@ -167,7 +169,8 @@ def read_footage(path, truth, frames="1:1000000"):
     path, truth : path
         The n-th image of a folder, in the order of names, is frame n.
     frames : str
-        See `frame_slice`.
+        See `frame_range`. Those of a video are held in memory, three bytes a
+        pixel; images are read when they are needed.
 
     Returns
     -------
@@ -178,13 +181,12 @@ def read_footage(path, truth, frames="1:1000000"):
     FileNotFoundError, ValueError
         A file is missing or cannot be read; no frame is left.
     """
-    path, rows, chosen = Path(path), read_rows(truth), frame_slice(frames)
-    numbers = range(chosen.start, chosen.stop + 1, chosen.step or 1)
+    path, rows, numbers = Path(path), read_rows(truth), frame_range(frames)
     is_video = path.suffix.lower() in VIDEO_SUFFIXES
     sources = read_frames(path) if is_video else find_images(path)
     examples = []
     for number, source in enumerate(sources, start=1):
-        if number > chosen.stop:
+        if number >= numbers.stop:
             break
         if number in numbers:
             own = rows.frames == number
@@ -229,7 +231,10 @@ def random_camera(example, rng):
         if rng.random() < 0.5:
             quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(30, 90))]
             img = cv2.imdecode(cv2.imencode(".jpg", img, quality)[1], cv2.IMREAD_COLOR)
-    required = required & (boxes[:, 3] - boxes[:, 1] >= _LOWEST)
+    rows, columns = img.shape[:2]
+    boxes = np.clip(boxes, 0, (columns, rows, columns, rows))
+    width, height = (boxes[:, 2:] - boxes[:, :2]).T
+    required = required & (height >= _LOWEST) & (width > height / 3)
     return convert_color(np.ascontiguousarray(img), COLOR), boxes, required
 
 
@@ -268,16 +273,21 @@ def random_exposure(img, rng):
 
 
 def random_crop(path, rng):
-    """An image of the training set as another camera might have taken it, YCrCb."""
-    img = read_image(path)
-    rows, columns = img.shape[:2]
+    """An image of the training set as another camera might have taken it.
+
+    Returns
+    -------
+    img : ndarray of uint8, shape (_CROP_SIDE, _CROP_SIDE, 3)
+        YCrCb.
+    """
+    img, _ = read_window(path, _CROP_SIDE)
     if rng.random() < 0.5:
         img = img[:, ::-1]
     if rng.random() < 0.6:
-        scale = np.exp(rng.uniform(np.log(0.25), 0))
-        small = max(8, int(columns * scale)), max(8, int(rows * scale))
-        img = cv2.resize(img, small, interpolation=cv2.INTER_AREA)
-    img = cv2.resize(random_exposure(img, rng), (columns, rows), interpolation=cv2.INTER_LINEAR)
+        small = max(8, int(_CROP_SIDE * np.exp(rng.uniform(np.log(0.25), 0))))
+        img = cv2.resize(img, (small, small), interpolation=cv2.INTER_AREA)
+    size = _CROP_SIDE, _CROP_SIDE
+    img = cv2.resize(random_exposure(img, rng), size, interpolation=cv2.INTER_LINEAR)
     return convert_color(img, COLOR)
 
 
@@ -323,6 +333,8 @@ class WindowSamples:
 
 def fit_template(features, labels, columns, C, seed):
     """Template of a linear SVM; scaling is folded into its weights."""
+    if len(set(labels.tolist())) < 2:
+        raise ValueError("windows of vehicles or of anything else are missing: give more footage")
     scaler = StandardScaler().fit(features)
     svm = LinearSVC(C=C, random_state=seed, dual=True).fit(scaler.transform(features), labels)
     weights = svm.coef_[0] / scaler.scale_
@@ -362,8 +374,8 @@ def crop_windows(training_set, rng):
     for path in tqdm(training_set.non_vehicles, "non-vehicles", unit="image"):
         img = random_crop(path, rng)
         for i, columns in enumerate(WINDOW_COLUMNS):
-            rows = img.shape[0] * WINDOW_ROWS // columns
-            top = rng.integers(0, img.shape[0] - rows + 1)
+            rows = _CROP_SIDE * WINDOW_ROWS // columns
+            top = rng.integers(0, _CROP_SIDE - rows + 1)
             size = columns * WINDOW_CELL, WINDOW_ROWS * WINDOW_CELL
             cut = cv2.resize(img[top : top + rows], size, interpolation=cv2.INTER_AREA)
             yield i, cell_features(cut), 0
@@ -480,8 +492,8 @@ def candidates(img, boxes, required, templates, rng):
     moved = [jittered(vehicles, spread, rng) for spread in (0.04, 0.1, 0.1)]
     parts = [random_parts(vehicles, rng) for _ in range(2)]
     windows = np.concatenate([windows, *moved, *parts])
-    unclear = ~is_nothing(windows, boxes[~required], 0.3, 0.5)
-    return windows[~unclear | (best_iou(windows, vehicles) > 0.5)]
+    clear = is_nothing(windows, boxes[~required], 0.3, 0.5)
+    return windows[clear | (best_iou(windows, vehicles) > 0.5)]
 
 
 def best_iou(windows, boxes):
@@ -527,6 +539,8 @@ def train_regressor(examples, templates, seed, jobs):
 
 def fit_components(features, rng):
     """Scaling and principal components; as an affine map, float32."""
+    if len(features) < _N_COMPONENTS:
+        raise ValueError(f"only {len(features)} patches to learn from: give more footage")
     chosen = rng.permutation(len(features))[:15_000]
     scaler = StandardScaler()
     # Cells that are nearly always empty would weigh most if they were scaled up.
@@ -545,18 +559,31 @@ def apply_components(features, projection, offset, n_rows=5000):
     return np.concatenate([part.astype(np.float32) @ projection + offset for part in parts])
 
 
-def fit_regressor(features, shifts, rng, alpha=0.1):
-    """Ridge regression on Gaussians around some of the samples."""
+def fit_kernel(features, rng):
+    """Components of all samples, some of them as centers, and a width that suits them.
+
+    Returns
+    -------
+    projection, offset, components, centers : ndarray of float32
+    gamma : float
+        One by the sum of the variances, scikit-learn's "scale".
+    """
     projection, offset = fit_components(features, rng)
     components = apply_components(features, projection, offset)
-    gamma = 1 / (components.shape[1] * components.var())
+    gamma = float(1 / (components.shape[1] * components.var()))
     centers = components[rng.permutation(len(components))[:_N_CENTERS]]
+    return projection, offset, components, centers, gamma
+
+
+def fit_regressor(features, shifts, rng, alpha=0.1):
+    """Ridge regression on Gaussians around some of the samples."""
+    projection, offset, components, centers, gamma = fit_kernel(features, rng)
     ridge = Ridge(alpha=alpha, solver="cholesky").fit(
         rbf_kernel(components.astype(float), centers.astype(float), gamma), shifts
     )
     weights = ridge.coef_.T.astype(np.float32)
     bias = ridge.intercept_.astype(np.float32)
-    return KernelMachine(projection, offset, centers, weights, bias, float(gamma))
+    return KernelMachine(projection, offset, centers, weights, bias, gamma)
 
 
 def patch_samples(item, templates, regressor, scorer=None):
@@ -594,7 +621,7 @@ def patch_samples(item, templates, regressor, scorer=None):
 
 def crop_patches(training_set, rng):
     """Yield patches of the training set's images, as `patch_samples`."""
-    whole = np.array([[0.0, 0.0, PATCH_CELLS * PATCH_CELL, PATCH_CELLS * PATCH_CELL]])
+    whole = np.array([[0.0, 0.0, _CROP_SIDE, _CROP_SIDE]])
     labeled = [(path, 1) for path in 2 * (training_set.crops + training_set.square_crops)]
     labeled += [(path, 0) for path in training_set.non_vehicles]
     for path, label in tqdm(labeled, "crops", unit="image"):
@@ -627,17 +654,14 @@ def fit_scorer(features, labels, rng, C=1.0):
            Kernel Machines", NIPS 2000.
     """
     print(f"patches: {len(labels)}, {labels.mean():.0%} vehicles")
-    projection, offset = fit_components(features, rng)
-    components = apply_components(features, projection, offset)
-    gamma = 1 / (components.shape[1] * components.var())
-    centers = components[rng.permutation(len(components))[:_N_CENTERS]]
+    projection, offset, components, centers, gamma = fit_kernel(features, rng)
     nystroem = Nystroem(gamma=gamma, n_components=len(centers), random_state=0).fit(centers)
     mapped = nystroem.transform(components).astype(np.float32)
     svm = LinearSVC(C=C, dual=False, class_weight="balanced", max_iter=200).fit(mapped, labels)
     weights = (nystroem.normalization_.T @ svm.coef_[0])[:, None].astype(np.float32)
     centers = nystroem.components_.astype(np.float32)
     bias = svm.intercept_.astype(np.float32)
-    return KernelMachine(projection, offset, centers, weights, bias, float(gamma))
+    return KernelMachine(projection, offset, centers, weights, bias, gamma)
 
 
 def train_detector(training_set, seed=0, jobs=-1):
@@ -670,6 +694,9 @@ def main():
     arguments = parse_arguments()
     start = time.perf_counter()
     try:
+        for footage in arguments.footage:
+            if not 2 <= len(footage) <= 3:
+                raise ValueError(f"--footage {' '.join(footage)}: a path, its truth, and A:B")
         examples = [e for footage in arguments.footage for e in read_footage(*footage)]
         folders = arguments.crops, arguments.square_crops, arguments.non_vehicles
         training_set = TrainingSet(examples, *map(images_of_folders, folders))

@@ -320,6 +320,17 @@ def test_what_is_no_detector_is_named(tmp_path):
     path.write_text("nothing of the kind")
     with pytest.raises(ValueError, match=r"detector\.npz: not a parameter file"):
         load_detector(path)
+    save_detector(random_detector(1), path)
+    whole = path.read_bytes()
+    for damaged in (b"", whole[: len(whole) // 2], whole[:100]):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"detector\.npz: not a parameter file"):
+            load_detector(path)
+    good = random_detector(1)
+    other = replace(good, scorer=good.regressor)
+    save_detector(other, path)
+    with pytest.raises(ValueError, match="an array of"):
+        load_detector(path)
     np.savez(path, format_version=0)
     with pytest.raises(ValueError, match="format 0, not 1"):
         load_detector(path)

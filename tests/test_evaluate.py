@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from conftest import ROOT
 from evaluate import (
     Rows,
+    errors_by_frame,
     evaluate,
     forgive,
     match,
@@ -44,6 +45,8 @@ def test_counts_by_hand():
         # In the ignore region by more than half; by less; nowhere near.
         (1, 20, 290, 0, 330, 40, 0.5), (2, 21, 270, 0, 310, 40, 0.5), (3, 22, 600, 0, 640, 40, 0.5),
     )  # fmt: skip
+    misses, false_positives = errors_by_frame(TRUTH, detections, range(1, 4))
+    assert misses.tolist() == [0, 0, 1] and false_positives.tolist() == [0, 1, 1]
     figures = evaluate(TRUTH, detections)
     assert figures["recall"] == pytest.approx(5 / 6)
     assert figures["precision"] == pytest.approx(5 / 7)

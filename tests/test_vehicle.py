@@ -59,7 +59,9 @@ def test_reset_forgets(path):
     first = [vehicle.detect(frame) for frame in frames(8)]
     vehicle.reset()
     again = [vehicle.detect(frame) for frame in frames(8)]
+    assert sum(len(one.candidates) for one in first) > 0
     for one, other in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one.candidates, other.candidates)
         np.testing.assert_array_equal(one.boxes, other.boxes)
         np.testing.assert_array_equal(one.ids, other.ids)
 

@@ -12,7 +12,9 @@ import pytest
 import reference
 from calibrate import Calibration, save_calibration
 from classifier import save_classifier
-from conftest import ROOT, random_classifier, textured_image
+from conftest import ROOT, random_classifier, random_detector, textured_image
+from detect import mot_rows
+from detector import save_detector
 from files import write_image
 from heat_vehicle import FILTER_PRESETS, FilterParams, HeatVehicle
 from pipeline_functions import (
@@ -22,6 +24,7 @@ from pipeline_functions import (
     are_near,
     identity_color,
 )
+from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
 from video import VideoInfo, read_frames, video_info, video_writer
 
 
@@ -230,6 +233,32 @@ def test_detect_writes_pictures_and_boxes(param, tmp_path):
     assert len(rows) > 0 and rows[:, 1].min() == 1
     np.testing.assert_array_equal(rows[:, :6], expected)
     assert (rows[:, 7:] == -1).all()
+
+
+def test_detect_with_two_stages_writes_what_vehicle_finds(tmp_path):
+    save_detector(random_detector(0), tmp_path / "detector.npz")
+    clip = write_video(tmp_path / "clip.mp4", moving_frames(9))
+    write_image(tmp_path / "still.png", next(moving_frames(1)))
+    options = "--out", tmp_path / "out", "--param", tmp_path / "detector.npz", "--split-screen"
+    result = run(clip, tmp_path / "still.png", *options)
+    assert result.returncode == 0, result.stderr
+    vehicle = Vehicle(None, tmp_path / "detector.npz")
+    found = [vehicle.detect(frame) for frame in read_frames(clip)]
+    lines = (tmp_path / "out/clip.txt").read_text().splitlines()
+    assert lines == [row for n, one in enumerate(found, start=1) for row in mot_rows(n, one)]
+    assert video_info(tmp_path / "out/clip_split.mp4").n_frames == 9
+    still = Vehicle(None, tmp_path / "detector.npz", STILL_SCAN, STILL_TRACKS)
+    rows = mot_rows(1, still.detect(next(moving_frames(1))))
+    assert (tmp_path / "out/still.txt").read_text().splitlines() == rows
+    assert len(rows) > 0
+
+
+@pytest.mark.parametrize("option", [("--search", "B"), ("--horizon", "0.5"), ("--scan-every", "3")])
+def test_options_of_the_other_way_are_refused(tmp_path, option):
+    write_image(tmp_path / "still.png", next(moving_frames(1)))
+    result = run(tmp_path / "still.png", "--out", tmp_path / "out", *option)
+    assert result.returncode == 1
+    assert f"error: {option[0]} goes with --filter G or B only" in result.stderr
 
 
 @pytest.mark.parametrize(
