@@ -23,7 +23,7 @@ from numba import njit
 
 from dense_hog import N_CORES, THREADS, hog_blocks
 from files import written_whole
-from tracks import pairwise_iou, pairwise_overlap
+from tracks import box_areas, pairwise_iou, pairwise_overlap
 
 COLOR = "YCrCb"
 ORIENTATIONS = 9
@@ -493,7 +493,7 @@ def keep_wholes(boxes, scores, overlap=0.45, covered=0.7):
     kept : ndarray of int
         Indices, best first.
     """
-    areas = (boxes[:, 2:] - boxes[:, :2]).prod(axis=1)
+    areas = box_areas(boxes)
     smaller = np.minimum(areas[:, None], areas[None])
     rival = pairwise_overlap(boxes, boxes) > covered * smaller
     rival |= pairwise_iou(boxes, boxes) > overlap
@@ -543,7 +543,7 @@ def are_plausible(boxes, frame_shape, scan):
     rows, columns = frame_shape[:2]
     width, height = (boxes[:, 2:] - boxes[:, :2]).T
     inside = np.clip(boxes, 0, (columns, rows, columns, rows))
-    share = (inside[:, 2:] - inside[:, :2]).prod(axis=1) / np.maximum(width * height, 1e-9)
+    share = box_areas(inside) / np.maximum(width * height, 1e-9)
     unit = columns / 1280
     low, high = scan.smallest * unit / 1.5, scan.largest * unit * 1.25
     shaped = (0.5 * height < width) & (width < 3.5 * height)

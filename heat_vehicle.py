@@ -19,8 +19,8 @@ from pipeline_functions import (
     keep_lasting_heat,
     slide_window,
 )
-from tracks import HEAT_TRACKS
-from vehicle import Vehicle
+from tracks import HEAT_TRACKS, Tracker
+from viewer import Viewer
 
 # Hot windows on one place that the pictures of heat show at their brightest.
 _HEAT_FULL_SCALE = 8
@@ -86,13 +86,13 @@ class HeatDetections:
     ids: np.ndarray
 
 
-class HeatVehicle(Vehicle):
+class HeatVehicle(Viewer):
     """Finds vehicles as write-ups G and B do: windows, heat, what lasts.
 
     Parameters
     ----------
     path_calib : path or None
-        See `Vehicle`.
+        See `Viewer`.
     path_param : path
         Classifier of `train.py`.
     search : SearchParams
@@ -111,9 +111,11 @@ class HeatVehicle(Vehicle):
         heat_filter=FILTER_PRESETS["G"],
         track_params=HEAT_TRACKS,
     ):
+        super().__init__(path_calib)
         self.search = search
         self.heat_filter = heat_filter
-        super().__init__(path_calib, path_param, track_params=track_params)
+        self.track_params = track_params
+        self.load_param_detect(path_param)
 
     def load_param_detect(self, path):
         """Read a classifier, see `classifier.load_classifier`; forgets all frames."""
@@ -123,6 +125,7 @@ class HeatVehicle(Vehicle):
     def reset(self):
         """Forget all frames: the next one begins another video."""
         super().reset()
+        self._tracker = Tracker(self.track_params)
         self._grid = None
         # Where a close search looks: what may become a vehicle counts too, or
         # nothing would ever last long enough to become one.

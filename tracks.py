@@ -133,12 +133,13 @@ def pairwise_overlap(boxes, others):
 def pairwise_iou(boxes, others):
     """Intersection over union of every box with every other, shape (n, m)."""
     common = pairwise_overlap(boxes, others)
-    areas, other_areas = (_areas(b) for b in (boxes, others))
+    areas, other_areas = (box_areas(b) for b in (boxes, others))
     union = areas[:, None] + other_areas[None] - common
     return np.divide(common, union, out=np.zeros_like(common, float), where=union > 0)
 
 
-def _areas(boxes):
+def box_areas(boxes):
+    """Areas of boxes, shape (n,)."""
     return (boxes[:, 2:] - boxes[:, :2]).prod(axis=1)
 
 

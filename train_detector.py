@@ -48,7 +48,7 @@ from evaluate import read_rows
 from files import VIDEO_SUFFIXES, find_images, read_image
 from pipeline_functions import convert_color
 from sample_data import in_parallel
-from tracks import pairwise_iou, pairwise_overlap
+from tracks import box_areas, pairwise_iou, pairwise_overlap
 from training_images import read_window
 from video import read_frames
 
@@ -429,8 +429,7 @@ def is_nothing(windows, boxes, iou, covered):
     """Which windows overlap every box by less than an IoU and by less than a share of theirs."""
     if not len(boxes):
         return np.ones(len(windows), bool)
-    areas = (windows[:, 2:] - windows[:, :2]).prod(axis=1)
-    share = pairwise_overlap(windows, boxes) / areas[:, None]
+    share = pairwise_overlap(windows, boxes) / box_areas(windows)[:, None]
     return (pairwise_iou(windows, boxes).max(axis=1) < iou) & (share.max(axis=1) < covered)
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-import calibrate
 from detector import (
     COLOR,
     DEFAULT_SCAN,
@@ -24,6 +23,7 @@ from detector import (
 )
 from pipeline_functions import convert_color, draw_boxes, draw_vehicles
 from tracks import Tracker, TrackParams, pairwise_iou
+from viewer import Viewer
 
 DEFAULT_TRACKS = TrackParams(
     min_iou=0.2, max_missed=75, measurement_noise=0.1, process_noise=0.01,
@@ -53,8 +53,9 @@ class Detections:
     proposals : ndarray of float, shape (n, 4)
         Windows of the first stage, in pixels of the frame as read, like all boxes.
     candidates : ndarray of float, shape (m, 4)
-        Where the closer look has moved them and the known vehicles, without
-        those that are part of a better one.
+        Where the closer look has moved the tracks of the frame before, and the
+        proposals that are not near one; without what is implausible or part of
+        a better one.
     candidate_scores, candidate_evidence : ndarray of float, shape (m,)
         Decision function of each; evidence of the track it belongs to, 0 for none.
     boxes : ndarray of int, shape (k, 4)
@@ -73,7 +74,7 @@ class Detections:
     ids: np.ndarray
 
 
-class Vehicle:
+class Vehicle(Viewer):
     """Finds vehicles in the frames of one video, handed over in order.
 
     Frames are searched as the camera gave them. A calibration straightens
@@ -101,17 +102,10 @@ class Vehicle:
         scan=DEFAULT_SCAN,
         track_params=DEFAULT_TRACKS,
     ):
-        self.calibration = None
-        if path_calib is not None:
-            self.load_calibration(path_calib)
+        super().__init__(path_calib)
         self.scan = scan
         self.track_params = track_params
         self.load_param_detect(path_param)
-
-    def load_calibration(self, path):
-        """Read a calibration, see `calibrate.load_calibration`."""
-        self.calibration = calibrate.load_calibration(path)
-        self._maps = {}
 
     def load_param_detect(self, path):
         """Read a detector, see `detector.load_detector`; forgets all frames."""
@@ -120,25 +114,10 @@ class Vehicle:
 
     def reset(self):
         """Forget all frames: the next one begins another video."""
-        self._frame_shape = None
-        self._n_frames = 0
+        super().reset()
         self._tracker = Tracker(self.track_params)
         # Where vehicles of late say that the road vanishes.
         self._horizons = deque(maxlen=_MOST_HORIZONS)
-
-    def process_image(self, rgb_frame):
-        """The next frame of the video, its vehicles boxed in colours of their own.
-
-        Parameters
-        ----------
-        rgb_frame : ndarray of uint8, shape (rows, columns, 3)
-
-        Returns
-        -------
-        rgb_frame : ndarray of uint8, shape (rows, columns, 3)
-            Undistorted if there is a calibration.
-        """
-        return self.draw(rgb_frame, self.detect(rgb_frame))
 
     def detect(self, rgb_frame):
         """Search the next frame of the video.
@@ -184,11 +163,6 @@ class Vehicle:
         levels = groups[self._n_frames % len(groups)]
         return propose(img, levels, self.detector.templates, scan)[0]
 
-    def _require_same_size(self, rgb_frame):
-        if self._frame_shape not in (None, rgb_frame.shape):
-            raise ValueError(f"a frame of {rgb_frame.shape} after one of {self._frame_shape}")
-        self._frame_shape = rgb_frame.shape
-
     def _follow(self, proposals, candidates, scores):
         """Hand the candidates of a frame to the tracks; vehicles are those with evidence."""
         tracks = self._tracker.update(candidates, scores)
@@ -200,10 +174,6 @@ class Vehicle:
         boxes = np.clip(np.rint(boxes), 0, (columns, rows, columns, rows)).astype(int)
         ids = np.array([tracks[i].identity for i in shown], int)
         return Detections(proposals, candidates, scores, evidence, boxes, scores[shown], ids)
-
-    def draw(self, rgb_frame, detections):
-        """Vehicles on the frame, then undistortion if there is a calibration."""
-        return self.undistort(draw_vehicles(rgb_frame, detections.boxes, detections.ids))
 
     def step_pictures(self, rgb_frame, detections):
         """What `titles` name, each drawn on the frame.
@@ -223,32 +193,6 @@ class Vehicle:
         ]
         return [self.undistort(picture) for picture in pictures]
 
-    def draw_split_screen(self, rgb_frame, detections):
-        """The four of `step_pictures` in one picture as large as the frame.
-
-        Returns
-        -------
-        picture : ndarray of uint8, shape (rows, columns, 3)
-        """
-        rows, columns = rgb_frame.shape[:2]
-        picture = np.zeros_like(rgb_frame)
-        quarter = columns // 2, rows // 2
-        for i, step in enumerate(self.step_pictures(rgb_frame, detections)):
-            tile = draw_title(
-                cv2.resize(step, quarter, interpolation=cv2.INTER_AREA), self.titles[i]
-            )
-            top, left = i // 2 * quarter[1], i % 2 * quarter[0]
-            picture[top : top + quarter[1], left : left + quarter[0]] = tile
-        return picture
-
-    def undistort(self, rgb_frame):
-        """The frame as a pinhole camera would see it; as it is without calibration."""
-        if self.calibration is None:
-            return rgb_frame
-        if rgb_frame.shape not in self._maps:
-            self._maps[rgb_frame.shape] = self.calibration.maps(rgb_frame.shape)
-        return cv2.remap(rgb_frame, *self._maps[rgb_frame.shape], cv2.INTER_LINEAR)
-
 
 def draw_rated(img, boxes, values, threshold):
     """Boxes with a number each: green from the threshold on, red below.
@@ -261,21 +205,12 @@ def draw_rated(img, boxes, values, threshold):
     values : ndarray of float, shape (n,)
     threshold : float
     """
+    img = img.copy()
     font_scale = img.shape[0] / 900
-    for box, value in zip(boxes, values, strict=True):
+    for (left, top, right, bottom), value in zip(boxes.round().astype(int), values, strict=True):
         color = (0, 200, 0) if value >= threshold else (255, 60, 60)
-        img = draw_boxes(img, [box], color, thickness=2)
-        place = round(box[0]), round(max(box[1] - 4, 20 * font_scale))
+        cv2.rectangle(img, (left, top), (right - 1, bottom - 1), color, 2)
+        place = left, max(top - 4, round(20 * font_scale))
         font = cv2.FONT_HERSHEY_SIMPLEX
         cv2.putText(img, f"{value:.1f}", place, font, font_scale, color, 2, cv2.LINE_AA)
-    return img
-
-
-def draw_title(img, title):
-    """The image with a line of text at its top left."""
-    size = img.shape[0] / 500
-    place = round(20 * size), round(30 * size)
-    for color, shift in (((0, 0, 0), 1), ((255, 255, 255), 0)):
-        where = place[0] + shift, place[1] + shift
-        img = cv2.putText(img, title, where, cv2.FONT_HERSHEY_SIMPLEX, size, color, 1, cv2.LINE_AA)
     return img
