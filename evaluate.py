@@ -349,7 +349,7 @@ def draw_evaluation(truth, detections, frames, iou_threshold=0.5):
         frames, -np.array(alarms), step="mid", color="tab:red", label="false positives"
     )
     timeline.set(xlabel="frame", ylabel="boxes")
-    timeline.legend(loc="upper left")
+    timeline.legend(loc="upper right")
     return figure
 
 
