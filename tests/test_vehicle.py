@@ -66,6 +66,17 @@ def test_reset_forgets(path):
         np.testing.assert_array_equal(one.ids, other.ids)
 
 
+def test_where_vehicles_put_the_horizon_nothing_hangs_above_it(path):
+    vehicle = Vehicle(None, path, STILL_SCAN, EAGER)
+    (frame,) = frames(1)
+    before = vehicle.detect(frame).candidates
+    vehicle._horizons.extend([120.0] * 60)
+    after = vehicle.detect(frame).candidates
+    height = before[:, 3] - before[:, 1]
+    assert (before[:, 3] - 120 <= 0.2 * height).any()
+    assert (after[:, 3] - 120 > 0.2 * (after[:, 3] - after[:, 1])).all() and len(after) > 0
+
+
 def test_frames_of_two_sizes_are_refused(path):
     vehicle = Vehicle(None, path)
     vehicle.detect(textured_image(0, 180, 320))
