@@ -1,4 +1,4 @@
-"""Histograms of oriented gradients of whole image bands, compiled with numba.
+"""Histograms of oriented gradients of whole image bands, and sums over windows, compiled.
 
 The numbers are those of ``skimage.feature.hog(transform_sqrt=True,
 block_norm='L2-Hys')``, which the tests use as the reference. What makes it
@@ -16,14 +16,15 @@ References
 """
 
 import math
-import os
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 
 import numpy as np
 from numba import njit
 
+from threads import share
+
 _COMPILE = dict(cache=True, nogil=True, error_model="numpy")
+# Several terms of a sum at once: no order of them is the right one.
+_SUMS = {"reassoc", "contract", "nsz"}
 
 # Square roots as fixed point numbers: differences are then exact, and 2**26
 # is the largest power of two for which they fit 32 bits.
@@ -36,9 +37,7 @@ _A1, _A3, _A5, _A7, _A9 = (
     np.float32(a / np.pi) for a in (0.9998660, -0.3302995, 0.1801410, -0.0851330, 0.0208351)
 )
 
-# Compiled code runs outside the interpreter's lock, so threads share large images.
-N_CORES = os.cpu_count()
-THREADS = ThreadPoolExecutor(N_CORES)
+# Operations that take longer than waking a thread.
 _WORTH_A_THREAD = 100_000
 
 _UNSETTLED = np.int32(-1)
@@ -72,7 +71,14 @@ def hog_blocks(img, orientations, pix_per_cell, cells_per_block):
         raise ValueError(f"HOG needs uint8 channels, not {img.dtype} of shape {img.shape}")
     if min(img.shape[:2]) < max(3, pix_per_cell * cells_per_block):
         raise ValueError(f"an image of {img.shape} is smaller than one HOG block")
-    return _normalise_blocks(_cell_histograms(img, orientations, pix_per_cell), cells_per_block)
+    cells = _cell_histograms(img, orientations, pix_per_cell)
+    channels, rows, columns, _ = cells.shape
+    rows, columns = rows - cells_per_block + 1, columns - cells_per_block + 1
+    size = cells_per_block, cells_per_block
+    blocks = np.empty((channels, rows, columns, *size, orientations), np.float32)
+    n_parts = 1 + 4 * blocks.size // _WORTH_A_THREAD
+    share(lambda *part: _normalise_blocks(cells, *part, blocks), rows, n_parts)
+    return blocks
 
 
 def _cell_histograms(img, orientations, pix_per_cell):
@@ -82,18 +88,13 @@ def _cell_histograms(img, orientations, pix_per_cell):
     histograms = np.zeros((channels, cell_rows, columns // pix_per_cell, orientations), np.float32)
 
     def vote(first, last):
-        """Let the pixels of the cell rows first..last vote."""
+        """Let the pixels of the cell rows first..last vote; places that are left out."""
         unsettled = np.empty(((last - first) * pix_per_cell * columns * channels, 3), np.int32)
-        n_unsettled = _vote(img, pix_per_cell, first, last, histograms, unsettled)
-        if n_unsettled:
-            _vote_exactly(img, pix_per_cell, histograms, unsettled[:n_unsettled])
+        return unsettled[: _vote(img, pix_per_cell, first, last, histograms, unsettled)]
 
-    n_parts = min(N_CORES, 1 + img.size // _WORTH_A_THREAD)
-    edges = [cell_rows * i // n_parts for i in range(n_parts + 1)]
-    others = [THREADS.submit(vote, *part) for part in pairwise(edges[1:])]
-    vote(*edges[:2])
-    for other in others:
-        other.result()
+    unsettled = np.concatenate(share(vote, cell_rows, 1 + img.size // _WORTH_A_THREAD))
+    if len(unsettled):
+        _vote_exactly(img, pix_per_cell, histograms, unsettled)
     histograms /= np.float32(pix_per_cell**2)
     return histograms
 
@@ -217,18 +218,13 @@ def _vote(img, pix_per_cell, first_cell_row, last_cell_row, histograms, unsettle
 
 
 @njit(**_COMPILE)
-def _normalise_blocks(cells, cells_per_block):
-    """L2-Hys: unit length, clipped at 0.2, unit length again."""
+def _normalise_blocks(cells, first, last, blocks):
+    """L2-Hys of the block rows first..last: unit length, clipped at 0.2, unit length again."""
     eps_squared = np.float32(1e-5**2)
     clip = np.float32(0.2)
-    size = cells_per_block
-    channels = cells.shape[0]
-    rows = cells.shape[1] - size + 1
-    columns = cells.shape[2] - size + 1
-    bins = cells.shape[3]
-    blocks = np.empty((channels, rows, columns, size, size, bins), np.float32)
+    channels, _, columns, size, _, bins = blocks.shape
     for c in range(channels):
-        for row in range(rows):
+        for row in range(first, last):
             for column in range(columns):
                 squares = eps_squared
                 for i in range(size):
@@ -248,7 +244,6 @@ def _normalise_blocks(cells, cells_per_block):
                     for k in range(size):
                         for n in range(bins):
                             blocks[c, row, column, i, k, n] *= scale
-    return blocks
 
 
 @njit(**_COMPILE)
@@ -278,3 +273,55 @@ def tile_histograms(channel, bin_of_value, n_bins, tile):
                 if k >= 0:
                     tiles[tile_column, k] += 1
     return histograms
+
+
+def correlate(cells, weights, step, shape):
+    """Sums of the products of weights with the cells of every window.
+
+    Parameters
+    ----------
+    cells : ndarray, shape (rows, columns, depth)
+        C-contiguous.
+    weights : ndarray of float32, shape (window rows, window columns, depth)
+        C-contiguous; all windows must lie within the cells.
+    step : int
+        Between neighbouring windows, in cells.
+    shape : (int, int)
+        How many windows lie one under another, and side by side.
+
+    Returns
+    -------
+    sums : ndarray of float32, of that shape
+
+    Raises
+    ------
+    ValueError
+        A window would lie outside; the weights are of another depth.
+    """
+    if cells.shape[2] != weights.shape[2]:
+        raise ValueError(f"weights of {weights.shape} for cells of {cells.shape}")
+    reach = [step * (n - 1) + side for n, side in zip(shape, weights.shape, strict=False)]
+    if min(shape) > 0 and (reach[0] > cells.shape[0] or reach[1] > cells.shape[1]):
+        raise ValueError(f"windows reach {reach}, cells are {cells.shape}")
+    sums = np.empty(shape, np.float32)
+    n_parts = 1 + sums.size * weights.size // (8 * _WORTH_A_THREAD)
+    share(lambda *rows: _correlate(cells, weights, step, *rows, sums), shape[0], n_parts)
+    return sums
+
+
+@njit(**_COMPILE, fastmath=_SUMS)
+def _correlate(cells, weights, step, first, last, sums):
+    """`correlate` for the window rows first..last."""
+    _, columns, depth = cells.shape
+    rows, width, _ = weights.shape
+    runs = cells.reshape(-1, columns * depth)
+    own_runs = weights.reshape(rows, width * depth)
+    for i in range(first, last):
+        for k in range(sums.shape[1]):
+            total = np.float32(0)
+            for row in range(rows):
+                run = runs[i * step + row, k * step * depth : (k * step + width) * depth]
+                own = own_runs[row]
+                for n in range(own.size):
+                    total += np.float32(run[n]) * own[n]
+            sums[i, k] = total

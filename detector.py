@@ -14,15 +14,15 @@ right, bottom in pixels of the frame.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numba import njit
 
-from dense_hog import N_CORES, THREADS, hog_blocks
+from dense_hog import correlate, hog_blocks
 from files import written_whole
+from threads import share, side_by_side
 from tracks import box_areas, pairwise_iou, pairwise_overlap
 
 COLOR = "YCrCb"
@@ -42,6 +42,8 @@ PATCH_SIDE = PATCH_CELLS + 2 * PATCH_MARGIN
 
 # Suppression compares each box with each: only so many of the best.
 _MOST_BOXES = 400
+# Boxes that take longer to look at than waking a thread.
+_WORTH_A_THREAD = 2
 
 FORMAT_VERSION = 1
 
@@ -271,24 +273,6 @@ def cell_features(img):
     return features
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=_SUMS)
-def _correlate(features, weights, step, first, last, scores):
-    """Sums of products of the weights with the cells of the window rows first..last."""
-    _, columns, depth = features.shape
-    rows, width, _ = weights.shape
-    flat = features.reshape(-1, columns * depth)
-    flat_weights = weights.reshape(rows, width * depth)
-    for i in range(first, last):
-        for k in range(scores.shape[1]):
-            total = np.float32(0)
-            for row in range(rows):
-                run = flat[i * step + row, k * step * depth : (k * step + width) * depth]
-                own = flat_weights[row]
-                for n in range(own.size):
-                    total += run[n] * own[n]
-            scores[i, k] = total
-
-
 def window_scores(features, template, step):
     """Decision function of the windows at every so many cells.
 
@@ -306,15 +290,7 @@ def window_scores(features, template, step):
     """
     sides = zip(features.shape, template.weights.shape[:2], strict=False)
     shape = [max(0, (side - length) // step + 1) for side, length in sides]
-    scores = np.empty(shape, np.float32)
-    edges = [shape[0] * i // N_CORES for i in range(N_CORES + 1)]
-    parts = [
-        THREADS.submit(_correlate, features, template.weights, step, *part, scores)
-        for part in pairwise(edges)
-    ]
-    for part in parts:
-        part.result()
-    return scores + np.float32(template.bias)
+    return correlate(features, template.weights, step, shape) + np.float32(template.bias)
 
 
 def propose(img, levels, templates, scan):
@@ -334,7 +310,7 @@ def propose(img, levels, templates, scan):
     scores : ndarray of float32, shape (n,)
         Best first.
     """
-    found = [_propose_on_level(img, level, templates, scan) for level in levels]
+    found = side_by_side(lambda level: _propose_on_level(img, level, templates, scan), levels)
     boxes, scores = map(np.concatenate, zip(*found, strict=True))
     best = suppress(boxes, scores, scan.overlap)
     return boxes[best], scores[best]
@@ -471,6 +447,16 @@ def look_closer(img, boxes, detector):
     scores : ndarray of float32, shape (n,)
         Decision function, positive for vehicles.
     """
+    parts = share(
+        lambda first, last: _look_closer(img, boxes[first:last], detector),
+        len(boxes), len(boxes) // _WORTH_A_THREAD,
+    )  # fmt: skip
+    boxes, scores = map(np.concatenate, zip(*parts, strict=True))
+    return boxes, scores
+
+
+def _look_closer(img, boxes, detector):
+    """`look_closer` on one core."""
     features = all_cells(patch_features(img, boxes))
     boxes = move_edges(boxes, detector.regressor.predict(features))
     scores = detector.scorer.predict(inner_cells(patch_features(img, boxes)))[:, 0]

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.ndimage import label
 
 from classifier import load_classifier
 from pipeline_functions import (
@@ -17,6 +18,7 @@ from pipeline_functions import (
     find_blobs,
     find_cars,
     keep_lasting_heat,
+    labeled_boxes,
     slide_window,
 )
 from tracks import HEAT_TRACKS, Tracker
@@ -127,9 +129,7 @@ class HeatVehicle(Viewer):
         super().reset()
         self._tracker = Tracker(self.track_params)
         self._grid = None
-        # Where a close search looks: what may become a vehicle counts too, or
-        # nothing would ever last long enough to become one.
-        self._warm_places = None
+        self._warmth = None
         self._heatmaps = deque(maxlen=self.heat_filter.n_acc)
 
     def detect(self, rgb_frame):
@@ -153,11 +153,19 @@ class HeatVehicle(Viewer):
             windows = slide_window(rgb_frame.shape, self.classifier.params, self.search)
             self._grid = HeatGrid.of_windows(windows)
         everywhere = self._n_frames % self.search.scan_every == 0
-        windows, scores = find_cars(
-            rgb_frame, self.classifier, self.search, None if everywhere else self._warm_places
-        )
+        places = None if everywhere else self._warm_places()
+        windows, scores = find_cars(rgb_frame, self.classifier, self.search, places)
         self._n_frames += 1
         return self.remember(windows[scores > self.search.threshold])
+
+    def _warm_places(self):
+        """Boxes in pixels around all that was warm or filtered in the frame before.
+
+        What may become a vehicle counts too, or nothing would ever last long
+        enough to become one.
+        """
+        labels, _ = label(self._warmth)
+        return self._grid.to_pixels(labeled_boxes(labels))
 
     def remember(self, hot_windows):
         """Add the hot windows of the next frame to the memory, and see what lasts.
@@ -176,7 +184,7 @@ class HeatVehicle(Viewer):
         lasting = keep_lasting_heat(np.array(self._heatmaps), self.heat_filter.n_occ_thr)
         filtered = apply_threshold(lasting, self.heat_filter.threshold)
         cells, scores = find_blobs(filtered)
-        self._warm_places = self._grid.to_pixels(find_blobs(heatmap + filtered)[0])
+        self._warmth = heatmap + filtered
         boxes = self._grid.to_pixels(cells)
         self._tracker.predict()
         # What lasts needs no further evidence.

@@ -18,7 +18,8 @@ from numpy.lib.stride_tricks import as_strided
 from scipy.ndimage import find_objects, label, maximum
 from skimage.feature import hog
 
-from dense_hog import hog_blocks, tile_histograms
+from dense_hog import correlate, hog_blocks, tile_histograms
+from threads import side_by_side
 
 # ---------------------------------------------------------------- parameters
 
@@ -339,11 +340,12 @@ def dense_features(img, params, cells_per_step):
     rows, columns = _window_counts(img.shape, params.window_size, step)
     features = np.empty((rows, columns, params.n_features), np.float32)
     start = 0
-    for group in _feature_groups(img, params, cells_per_step):
-        # Windows come first, whatever a group is made of follows.
-        size = int(np.prod(group.shape[2:]))
+    for grid in _feature_grids(img, params, cells_per_step):
+        windows = grid.windows((rows, columns))
+        # Windows come first, whatever they are made of follows.
+        size = int(np.prod(windows.shape[2:]))
         part = features[:, :, start : start + size]
-        part.reshape(group.shape, copy=False)[:] = group
+        part.reshape(windows.shape, copy=False)[:] = windows
         start += size
     return features
 
@@ -364,32 +366,67 @@ def dense_scores(img, params, cells_per_step, weights, bias):
     -------
     scores : ndarray of float32, shape (window rows, window columns)
     """
+    counts = _window_counts(img.shape, params.window_size, cells_per_step * params.pix_per_cell)
     scores, start = np.float32(bias), 0
-    for group in _feature_groups(img, params, cells_per_step):
-        axes = list(range(group.ndim))
-        size = int(np.prod(group.shape[2:]))
-        own = weights[start : start + size].reshape(group.shape[2:])
-        # Not `tensordot`, which copies, and wakes BLAS's threads.
-        scores = scores + np.einsum(group, axes, own, axes[2:], axes[:2])
+    for grid in _feature_grids(img, params, cells_per_step):
+        shape = grid.extent, grid.extent, grid.cells.shape[2]
+        size = int(np.prod(shape))
+        scores = scores + grid.products(weights[start : start + size].reshape(shape), counts)
         start += size
     return scores
 
 
-def _feature_groups(img, params, cells_per_step):
-    """Yield arrays of shape (window rows, window columns, ...), most of them views."""
+@dataclass(frozen=True)
+class _FeatureGrid:
+    """What the windows of a band share: each is `extent` x `extent` of these cells.
+
+    Attributes
+    ----------
+    cells : ndarray, shape (rows, columns, depth)
+    extent : int
+    spacing : int
+        Between neighbouring cells of a window.
+    step : int
+        Between neighbouring windows.
+    """
+
+    cells: np.ndarray
+    extent: int
+    spacing: int
+    step: int
+
+    def windows(self, counts):
+        """View of all windows, shape (*counts, extent, extent, depth)."""
+        y, x, depth = self.cells.strides
+        strides = (y * self.step, x * self.step, y * self.spacing, x * self.spacing, depth)
+        shape = (*counts, self.extent, self.extent, self.cells.shape[2])
+        return as_strided(self.cells, shape, strides, writeable=False)
+
+    def products(self, weights, counts):
+        """Sums of the products of all windows with weights of (extent, extent, depth)."""
+        if self.spacing > 1:
+            side = (self.extent - 1) * self.spacing + 1
+            spaced = np.zeros((side, side, weights.shape[2]), np.float32)
+            spaced[:: self.spacing, :: self.spacing] = weights
+            weights = spaced
+        return correlate(self.cells, weights, self.step, counts)
+
+
+def _feature_grids(img, params, cells_per_step):
+    """Yield what the features of all windows are taken from, in the order of the features."""
     colors = {params.spatial_color, params.hist_color, params.hog_color} - {None}
     converted = {color: convert_color(img, color) for color in colors}
     if params.spatial_color:
-        yield _spatial_windows(converted[params.spatial_color], params, cells_per_step)
+        yield _spatial_grid(converted[params.spatial_color], params, cells_per_step)
     if params.hist_color:
         for channel in cv2.split(converted[params.hist_color]):
-            yield _histogram_windows(channel, params, cells_per_step)
+            yield _histogram_grid(channel, params, cells_per_step)
     if params.hog_color:
         channels = np.atleast_3d(converted[params.hog_color])[..., _hog_channels(params)]
-        yield _hog_windows(channels, params, cells_per_step)
+        yield from _hog_grids(channels, params, cells_per_step)
 
 
-def _spatial_windows(img, params, cells_per_step):
+def _spatial_grid(img, params, cells_per_step):
     """`bin_spatial` of every window.
 
     A window shrinks by a whole factor, and so does the image: one shrunk
@@ -411,14 +448,11 @@ def _spatial_windows(img, params, cells_per_step):
         shrunk[i::n_shifts, k::n_shifts][: size[1], : size[0]] = cv2.resize(
             whole, size, interpolation=cv2.INTER_LINEAR
         )
-    counts = _window_counts(img.shape, params.window_size, step)
-    y, x, *channel = shrunk.strides
-    strides = (y * step // pitch, x * step // pitch, y * n_shifts, x * n_shifts, *channel)
-    shape = (*counts, params.spatial_size, params.spatial_size, *img.shape[2:])
-    return as_strided(shrunk, shape, strides, writeable=False)
+    cells = np.atleast_3d(shrunk)
+    return _FeatureGrid(cells, params.spatial_size, n_shifts, step // pitch)
 
 
-def _histogram_windows(channel, params, cells_per_step):
+def _histogram_grid(channel, params, cells_per_step):
     """`color_hist` of one channel of every window, summed from tiles' histograms."""
     step = cells_per_step * params.pix_per_cell
     tile = gcd(params.window_size, step)
@@ -431,7 +465,7 @@ def _histogram_windows(channel, params, cells_per_step):
         total[extent:, extent:] - total[:-extent, extent:]
         - total[extent:, :-extent] + total[:-extent, :-extent]
     )  # fmt: skip
-    return windows[:: step // tile, :: step // tile]
+    return _FeatureGrid(np.ascontiguousarray(windows), 1, 1, step // tile)
 
 
 def _hog_channels(params):
@@ -441,15 +475,13 @@ def _hog_channels(params):
     return slice(params.hog_channel, params.hog_channel + 1)
 
 
-def _hog_windows(img, params, cells_per_step):
-    """HOG blocks of every window, channel by channel."""
+def _hog_grids(img, params, cells_per_step):
+    """Yield the HOG blocks of every channel."""
     blocks = hog_blocks(img, params.orientations, params.pix_per_cell, params.cells_per_block)
     extent = params.window_size // params.pix_per_cell - params.cells_per_block + 1
-    counts = _window_counts(img.shape, params.window_size, cells_per_step * params.pix_per_cell)
-    channel, y, x, *inner = blocks.strides
-    strides = (y * cells_per_step, x * cells_per_step, channel, y, x, *inner)
-    shape = (*counts, len(blocks), extent, extent, *blocks.shape[3:])
-    return as_strided(blocks, shape, strides, writeable=False)
+    for channel in blocks:
+        cells = channel.reshape(*channel.shape[:2], -1)
+        yield _FeatureGrid(cells, extent, 1, cells_per_step)
 
 
 # ------------------------------------------------------------------- windows
@@ -610,9 +642,7 @@ def find_cars(frame, classifier, search, boxes=None):
         Decision function; above `search.threshold` a window is hot.
     """
     grids = _window_grids(frame.shape[:2], classifier.params, search)
-    results = [
-        _score_band(frame, band, windows, classifier, search, boxes) for band, windows in grids
-    ]
+    results = side_by_side(lambda grid: _score_band(frame, *grid, classifier, search, boxes), grids)
     windows, scores = zip(*results, strict=True)
     return np.concatenate(windows), np.concatenate(scores)
 
@@ -763,11 +793,10 @@ def keep_lasting_heat(heatmaps, n_occ_thr):
     -------
     heatmap : ndarray, shape (rows, columns)
     """
-    labels, n_labels = label(heatmaps)
-    places = np.nonzero(labels)
-    occurs = np.zeros((len(heatmaps), n_labels + 1), bool)
-    occurs[places[0], labels[places]] = True
-    lasting = occurs.sum(axis=0) >= n_occ_thr
+    labels, _ = label(heatmaps)
+    # What is one object is seen in every frame between its first and its last.
+    durations = [frames.stop - frames.start for frames, _, _ in find_objects(labels)]
+    lasting = np.array([0, *durations]) >= n_occ_thr
     return np.where(lasting[labels], heatmaps, 0).sum(axis=0)
 
 

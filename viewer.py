@@ -5,6 +5,9 @@ import numpy as np
 
 import calibrate
 from pipeline_functions import draw_vehicles
+from threads import share
+
+_ROWS_WORTH_A_THREAD = 100
 
 
 class Viewer:
@@ -88,7 +91,16 @@ class Viewer:
             return rgb_frame
         if rgb_frame.shape not in self._maps:
             self._maps[rgb_frame.shape] = self.calibration.maps(rgb_frame.shape)
-        return cv2.remap(rgb_frame, *self._maps[rgb_frame.shape], cv2.INTER_LINEAR)
+        columns, rows = self._maps[rgb_frame.shape]
+        picture = np.empty_like(rgb_frame)
+
+        def fill(first, last):
+            """Some rows of the picture."""
+            maps = columns[first:last], rows[first:last]
+            cv2.remap(rgb_frame, *maps, cv2.INTER_LINEAR, dst=picture[first:last])
+
+        share(fill, len(picture), len(picture) // _ROWS_WORTH_A_THREAD)
+        return picture
 
 
 def draw_title(img, title):

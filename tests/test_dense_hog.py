@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from skimage.feature import hog
 
 from conftest import textured_image
-from dense_hog import hog_blocks, tile_histograms
+from dense_hog import correlate, hog_blocks, tile_histograms
 
 
 def reference(img, orientations, cell, block):
@@ -83,3 +83,36 @@ def test_tile_histograms_by_numpy():
             tile = channel[8 * row : 8 * row + 8, 8 * column : 8 * column + 8]
             expected, _ = np.histogram(tile, 8, (0, 256))
             np.testing.assert_array_equal(tiles[row, column], expected)
+
+
+@given(
+    st.sampled_from([np.uint8, np.int64, np.float32]),
+    st.tuples(*[st.integers(1, 4)] * 6),
+    st.integers(1, 3),
+    st.integers(0, 2**32 - 1),
+)
+def test_correlate_is_the_sum_over_windows(dtype, sides, step, seed):
+    rng = np.random.default_rng(seed)
+    *shape, height, width, depth, spare = sides
+    rows, columns = (step * (n - 1) + side for n, side in zip(shape, (height, width), strict=True))
+    cells = rng.integers(0, 200, (rows + spare - 1, columns, depth)).astype(dtype)
+    weights = rng.normal(size=(height, width, depth)).astype(np.float32)
+    expected = [
+        [
+            (cells[i * step : i * step + height, k * step : k * step + width] * weights).sum()
+            for k in range(shape[1])
+        ]
+        for i in range(shape[0])
+    ]
+    np.testing.assert_allclose(correlate(cells, weights, step, shape), expected, atol=0.05)
+
+
+def test_correlate_refuses_windows_outside():
+    cells, weights = np.zeros((4, 6, 2), np.float32), np.ones((2, 2, 2), np.float32)
+    assert correlate(cells, weights, 2, (2, 3)).shape == (2, 3)
+    with pytest.raises(ValueError, match="windows reach"):
+        correlate(cells, weights, 2, (2, 4))
+    with pytest.raises(ValueError, match="windows reach"):
+        correlate(cells, weights, 2, (3, 3))
+    with pytest.raises(ValueError, match="weights of"):
+        correlate(cells, weights[..., :1], 2, (2, 3))

@@ -1,0 +1,44 @@
+"""Work side by side: the same results in the same order, also for calls within calls."""
+
+import threading
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from threads import share, side_by_side
+
+
+@given(st.lists(st.integers(), max_size=20))
+def test_results_come_in_the_order_of_the_items(items):
+    assert side_by_side(lambda n: n * n, items) == [n * n for n in items]
+
+
+@given(st.integers(0, 50), st.integers(-1, 100))
+def test_parts_cover_everything_once(length, n_parts):
+    parts = share(lambda first, last: list(range(first, last)), length, n_parts)
+    assert sum(parts, []) == list(range(length))
+
+
+def test_calls_within_calls_end():
+    def nested(depth):
+        """A tree of calls with many more leaves than there are threads."""
+        return 1 if depth == 0 else sum(side_by_side(nested, [depth - 1] * 4))
+
+    results = []
+    thread = threading.Thread(target=lambda: results.append(nested(4)), daemon=True)
+    thread.start()
+    thread.join(timeout=60)
+    assert results == [256]
+
+
+@pytest.mark.parametrize("culprit", [0, 3])
+def test_errors_reach_the_caller(culprit):
+    def fail(n):
+        """Fails for one of the items."""
+        if n == culprit:
+            raise KeyError(n)
+        return n
+
+    with pytest.raises(KeyError):
+        side_by_side(fail, list(range(4)))

@@ -1,0 +1,58 @@
+"""Work side by side: compiled code and OpenCV run outside the interpreter's lock."""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+
+import cv2
+
+# OpenCV's own threads spin for a while after each of its calls, and take the
+# cores from those that are here, and from the encoder.
+cv2.setNumThreads(1)
+
+_N_CORES = os.cpu_count()
+_THREADS = ThreadPoolExecutor(_N_CORES)
+
+
+def side_by_side(function, items):
+    """Call a function with every item, in as many threads as there are cores.
+
+    What no thread has begun when its result is asked for is done by the
+    caller itself: calls within calls wait for nothing that nobody does.
+
+    Parameters
+    ----------
+    function : callable
+        Takes an item.
+    items : sequence
+
+    Returns
+    -------
+    results : list
+        In the order of the items.
+    """
+    futures = [_THREADS.submit(function, item) for item in items[1:]]
+    results = [function(item) for item in items[:1]]
+    for future, item in zip(futures, items[1:], strict=True):
+        results.append(function(item) if future.cancel() else future.result())
+    return results
+
+
+def share(function, length, n_parts):
+    """Call function(first, last) for parts of 0..length, side by side.
+
+    Parameters
+    ----------
+    function : callable
+    length : int
+    n_parts : int
+        At most one a core is made.
+
+    Returns
+    -------
+    results : list
+        One a part.
+    """
+    n_parts = max(1, min(_N_CORES, n_parts))
+    edges = [length * i // n_parts for i in range(n_parts + 1)]
+    return side_by_side(lambda part: function(*part), list(pairwise(edges)))
