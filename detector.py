@@ -235,12 +235,16 @@ def level_groups(frame_shape, scan):
     height, width = frame_shape[:2]
     low, high = (share * height for share in scan.horizon)
     side, levels = scan.smallest * width / 1280, []
+    unit = scan.cells_per_step * WINDOW_CELL
     while side <= scan.largest * width / 1280:
-        top, bottom = max(0, int(low - 0.75 * side)), min(height, int(high + side))
+        # Whole steps, so that the last windows end where the frame ends:
+        # vehicles enter at its edges.
         scale = side / (WINDOW_ROWS * WINDOW_CELL)
-        level = Level(top, bottom, round((bottom - top) / scale), round(width / scale))
-        if level.rows >= WINDOW_ROWS * WINDOW_CELL:
-            levels.append(level)
+        bottom = min(height, int(high + side))
+        rows = round((bottom - max(0, low - 0.75 * side)) / scale / unit) * unit
+        columns = round(width / scale / unit) * unit
+        if min(rows, columns) >= WINDOW_ROWS * WINDOW_CELL:
+            levels.append(Level(max(0, round(bottom - rows * scale)), bottom, rows, columns))
         side *= scan.ratio
     if not levels:
         raise ValueError(f"no window fits a frame of {width}x{height}: use a larger picture")
