@@ -3,9 +3,9 @@
 boxes -> predictions -> assignment -> correction -> identities
 
 Every vehicle has a Kalman filter of constant velocity. Its prediction is held
-against the boxes of the frame; what matches corrects it, what does not match
-begins a track of its own. A vehicle out of sight keeps its track, and so its
-identity, for a while, but is not shown.
+against the boxes of the frame; what matches corrects it, the more the surer it
+is, and what does not match begins a track of its own. A vehicle out of sight
+keeps its track, and so its identity, for a while, but is not shown.
 """
 
 from dataclasses import dataclass
@@ -26,8 +26,12 @@ class TrackParams:
     max_missed : int
         Frames that a track outlives without a box.
     measurement_noise, process_noise : float
-        Standard deviations as shares of a vehicle's height: of a box's
-        edges, and of the change of their velocity from frame to frame.
+        Standard deviations as shares of a vehicle's height: of the edges of a
+        box whose score is 1, and of the change of their velocity from frame
+        to frame.
+    kept_velocity : float
+        Share of its velocity that a vehicle out of sight keeps from frame to
+        frame: what its box did last was mostly to shrink behind what hides it.
     birth : float
         Evidence, the sum of a track's scores, that makes it a vehicle.
     most_evidence : float
@@ -40,6 +44,7 @@ class TrackParams:
     max_missed: int = 50
     measurement_noise: float = 0.1
     process_noise: float = 0.01
+    kept_velocity: float = 1.0
     birth: float = 0.0
     most_evidence: float = 1.0
     miss_cost: float = 1.0
@@ -51,6 +56,8 @@ class TrackParams:
             raise ValueError("max_missed starts at 0")
         if min(self.measurement_noise, self.process_noise) <= 0:
             raise ValueError("noise is above 0")
+        if not 0 <= self.kept_velocity <= 1:
+            raise ValueError(f"kept_velocity lies between 0 and 1, not at {self.kept_velocity}")
         if not 0 <= self.birth <= self.most_evidence:
             raise ValueError(f"birth {self.birth} lies outside 0..{self.most_evidence}")
         if self.miss_cost <= 0:
@@ -85,17 +92,16 @@ class Track:
         self.box = np.asarray(box, float)
         self._params = params
         height = box[3] - box[1]
+        variance = (params.measurement_noise * height) ** 2
+        self._measurement_noise = variance * np.eye(4)
         # State: four edges, then their velocities in pixels a frame.
         self._filter = cv2.KalmanFilter(8, 4, 0, cv2.CV_64F)
         self._filter.transitionMatrix = np.eye(8) + np.eye(8, k=4)
         self._filter.measurementMatrix = np.eye(4, 8)
-        self._filter.measurementNoiseCov = np.eye(4) * (params.measurement_noise * height) ** 2
         drift = (params.process_noise * height) ** 2
         # White noise on the velocity over one frame moves the edge by half as much.
         self._filter.processNoiseCov = drift * np.kron([[0.25, 0.5], [0.5, 1.0]], np.eye(4))
-        self._filter.errorCovPost = (
-            np.diag([1.0] * 4 + [0.1] * 4) * (params.measurement_noise * height) ** 2
-        )
+        self._filter.errorCovPost = variance * np.diag([1.0] * 4 + [0.1] * 4)
         self._filter.statePost = np.concatenate([box, np.zeros(4)])[:, None].astype(float)
         self._weigh(score)
 
@@ -105,14 +111,29 @@ class Track:
         self.box = self._filter.predict()[:4, 0].copy()
 
     def correct(self, box, score):
-        """Take in the box of this frame, and what it says."""
+        """Take in the box of this frame, and what it says.
+
+        The edges of a box that hardly looks like a vehicle are those of
+        something else, most often of what hides it.
+        """
         self.n_missed = 0
-        self.box = self._filter.correct(np.asarray(box, float)[:, None])[:4, 0].copy()
+        if score > 0:
+            doubt = np.exp(max(0.0, 1 - score))
+            self._filter.measurementNoiseCov = doubt * self._measurement_noise
+            self.box = self._filter.correct(np.asarray(box, float)[:, None])[:4, 0].copy()
+        else:
+            self._slow_down()
         self._weigh(score)
 
     def miss(self):
         """There is no box in this frame."""
+        self._slow_down()
         self._weigh(-self._params.miss_cost)
+
+    def _slow_down(self):
+        state = self._filter.statePost.copy()
+        state[4:] *= self._params.kept_velocity
+        self._filter.statePost = state
 
     def _weigh(self, score):
         self.evidence = min(self.evidence + score, self._params.most_evidence)
