@@ -48,6 +48,37 @@ def test_a_vehicle_out_of_sight_is_known_again_where_its_speed_takes_it():
     assert pairwise_iou(boxes(box_at(350)), boxes(box_at(195)))[0, 0] == 0
 
 
+def test_a_vehicle_that_was_hidden_is_known_again_though_its_box_shrank():
+    # A car that overtakes covers it from the left: less and less looks like a vehicle.
+    seen = [(box_at(100), 1.0)] * 20
+    seen += [(np.array([100 + 6 * i, 100, 160, 140]), 0.8 - 0.2 * i) for i in range(8)]
+
+    def identity_after(kept_velocity):
+        """Of a box where it was, forty frames later."""
+        tracker = Tracker(TrackParams(max_missed=50, kept_velocity=kept_velocity))
+        for box, score in seen:
+            tracker.predict()
+            tracker.update(boxes(box), np.array([score]))
+        for _ in range(40):
+            step(tracker, boxes())
+        return step(tracker, boxes(box_at(100)))
+
+    assert identity_after(kept_velocity=0.8) == [1]
+    assert identity_after(kept_velocity=1.0) == [2]
+
+
+@pytest.mark.parametrize(("score", "least", "most"), [(1.5, 6, 20), (0.1, 1, 6), (-0.5, 0, 0)])
+def test_a_box_moves_its_track_by_how_sure_it_is(score, least, most):
+    tracker = Tracker(TrackParams(most_evidence=8))
+    for _ in range(20):
+        tracker.predict()
+        tracker.update(boxes(box_at(100)), np.array([1.0]))
+    tracker.predict()
+    (track,) = tracker.update(boxes(box_at(120)), np.array([score]))
+    assert track.identity == 1
+    assert least <= track.box[0] - 100 <= most
+
+
 def test_a_vehicle_away_for_too_long_is_another():
     tracker = Tracker(TrackParams(max_missed=3))
     step(tracker, boxes(box_at(100)))
@@ -159,6 +190,7 @@ def test_expected_are_those_of_the_frame_before():
         {"birth": -1},
         {"birth": 2, "most_evidence": 1},
         {"miss_cost": 0},
+        {"kept_velocity": 1.1},
     ],
 )
 def test_track_params_refuse(wrong):
