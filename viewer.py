@@ -91,12 +91,12 @@ class Viewer:
             return rgb_frame
         if rgb_frame.shape not in self._maps:
             self._maps[rgb_frame.shape] = self.calibration.maps(rgb_frame.shape)
-        columns, rows = self._maps[rgb_frame.shape]
+        places, fractions = self._maps[rgb_frame.shape]
         picture = np.empty_like(rgb_frame)
 
         def fill(first, last):
             """Some rows of the picture."""
-            maps = columns[first:last], rows[first:last]
+            maps = places[first:last], fractions[first:last]
             cv2.remap(rgb_frame, *maps, cv2.INTER_LINEAR, dst=picture[first:last])
 
         share(fill, len(picture), len(picture) // _ROWS_WORTH_A_THREAD)
