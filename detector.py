@@ -1,10 +1,10 @@
-"""The two-stage detector: windows of three shapes, then a closer look at the best.
+"""The two-stage detector: windows of four shapes, then a closer look at the best.
 
 frame -> levels -> cells -> window scores -> proposals -> refined boxes, scores
 
 A level is the frame at one scale, described by cells of 4 x 4 pixels: HOG of
 the luma and the mean colour. Linear SVMs score windows of 8 cells' height and
-three widths. The best windows are cut out of the frame with a margin and
+four widths. The best windows are cut out of the frame with a margin and
 described again, twice as finely: one kernel machine moves the four edges, and
 another, an SVM with an RBF kernel, says how sure it is.
 
@@ -27,9 +27,10 @@ from tracks import box_areas, pairwise_iou, pairwise_overlap
 
 COLOR = "YCrCb"
 ORIENTATIONS = 9
-# Windows of the first stage, in cells of so many pixels.
+# Windows of the first stage, in cells of so many pixels: lorries are higher than
+# wide, cars seen from the side twice as wide as high.
 WINDOW_ROWS = 8
-WINDOW_COLUMNS = (8, 11, 16)
+WINDOW_COLUMNS = (6, 8, 11, 16)
 WINDOW_CELL = 4
 # The closer look: a box of 8 x 8 cells, and a margin of one cell around it.
 PATCH_CELLS = 8
@@ -45,7 +46,7 @@ _MOST_BOXES = 400
 # Boxes that take longer to look at than waking a thread.
 _WORTH_A_THREAD = 2
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 
 @dataclass(frozen=True)

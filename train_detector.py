@@ -309,7 +309,7 @@ def random_parts(boxes, rng):
 
 
 class WindowSamples:
-    """Features of vehicles and of nothing, for each of the three templates."""
+    """Features of vehicles and of nothing, for each of the templates."""
 
     def __init__(self):
         self._features = [[] for _ in WINDOW_COLUMNS]
@@ -364,8 +364,10 @@ def cut_out(img, box, size):
 
 def crop_windows(training_set, rng):
     """Yield the training set's images as windows, see `WindowSamples.add`."""
-    shapes = {path: range(len(WINDOW_COLUMNS)) for path in training_set.crops}
-    shapes |= dict.fromkeys(training_set.square_crops, [0])
+    # Crops show cars, and no car is higher than wide.
+    shapes_of_cars = [i for i, columns in enumerate(WINDOW_COLUMNS) if columns >= WINDOW_ROWS]
+    shapes = dict.fromkeys(training_set.crops, shapes_of_cars)
+    shapes |= dict.fromkeys(training_set.square_crops, [WINDOW_COLUMNS.index(WINDOW_ROWS)])
     for path, templates in tqdm(shapes.items(), "crops", unit="image"):
         img = random_crop(path, rng)
         for i in templates:
@@ -374,10 +376,12 @@ def crop_windows(training_set, rng):
     for path in tqdm(training_set.non_vehicles, "non-vehicles", unit="image"):
         img = random_crop(path, rng)
         for i, columns in enumerate(WINDOW_COLUMNS):
-            rows = _CROP_SIDE * WINDOW_ROWS // columns
-            top = rng.integers(0, _CROP_SIDE - rows + 1)
+            longer = max(columns, WINDOW_ROWS)
+            height, width = (_CROP_SIDE * side // longer for side in (WINDOW_ROWS, columns))
+            top, left = (rng.integers(0, _CROP_SIDE - side + 1) for side in (height, width))
             size = columns * WINDOW_CELL, WINDOW_ROWS * WINDOW_CELL
-            cut = cv2.resize(img[top : top + rows], size, interpolation=cv2.INTER_AREA)
+            part = img[top : top + height, left : left + width]
+            cut = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
             yield i, cell_features(cut), 0
 
 

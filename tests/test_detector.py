@@ -332,7 +332,7 @@ def test_what_is_no_detector_is_named(tmp_path):
     with pytest.raises(ValueError, match="an array of"):
         load_detector(path)
     np.savez(path, format_version=0)
-    with pytest.raises(ValueError, match="format 0, not 1"):
+    with pytest.raises(ValueError, match="format 0, not 2"):
         load_detector(path)
     np.savez(path, format_version=1)
     with pytest.raises(ValueError, match=r"detector\.npz: not a parameter file"):
