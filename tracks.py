@@ -23,6 +23,12 @@ class TrackParams:
     ----------
     min_iou : float
         A box may be a track's only if it overlaps the prediction this much.
+    max_growth : float
+        A box that is more times as high as the prediction, or as many times
+        lower, is not the track's but that of what hides it.
+    reach : float
+        Vehicles out of sight are looked for as far to each side, as a share of
+        their width: what comes out first is one side of them.
     max_missed : int
         Frames that a track outlives without a box.
     measurement_noise, process_noise : float
@@ -41,6 +47,8 @@ class TrackParams:
     """
 
     min_iou: float = 0.2
+    max_growth: float = np.inf
+    reach: float = 0.0
     max_missed: int = 50
     measurement_noise: float = 0.1
     process_noise: float = 0.01
@@ -52,6 +60,8 @@ class TrackParams:
     def __post_init__(self):
         if not 0 < self.min_iou < 1:
             raise ValueError(f"min_iou lies between 0 and 1, not at {self.min_iou}")
+        if self.max_growth <= 1 or self.reach < 0:
+            raise ValueError("max_growth is above 1, and reach starts at 0")
         if self.max_missed < 0:
             raise ValueError("max_missed starts at 0")
         if min(self.measurement_noise, self.process_noise) <= 0:
@@ -164,6 +174,12 @@ def box_areas(boxes):
     return (boxes[:, 2:] - boxes[:, :2]).prod(axis=1)
 
 
+def _widened(boxes, share):
+    """Boxes with a share of their width added on each side."""
+    aside = share * (boxes[:, 2] - boxes[:, 0])
+    return boxes + aside[:, None] * (-1, 0, 1, 0)
+
+
 class Tracker:
     """All tracks of one video: `predict`, then `update`, frame by frame.
 
@@ -236,12 +252,22 @@ class Tracker:
         for rank in sorted(set(ranks)):
             tracks = [t for t, own in zip(self._tracks, ranks, strict=True) if own == rank]
             free = [i for i, owner in enumerate(owners) if owner is None]
-            iou = pairwise_iou(boxes[free], np.array([track.box for track in tracks]))
-            gain = np.where(iou >= self.params.min_iou, iou, 0)
+            gain = self._gain(boxes[free], tracks, rank[1])
             for row, column in zip(*linear_sum_assignment(gain, maximize=True), strict=True):
                 if gain[row, column] > 0:
                     owners[free[row]] = tracks[column]
         return owners
+
+    def _gain(self, boxes, tracks, out_of_sight):
+        """IoU of every box with every prediction, 0 where it is not the track's; shape (n, m)."""
+        expected = np.array([track.box for track in tracks])
+        heights, own_heights = (b[:, 3] - b[:, 1] for b in (boxes, expected))
+        growth = heights[:, None] / np.maximum(own_heights, 1e-9)
+        if out_of_sight:
+            boxes, expected = (_widened(b, self.params.reach) for b in (boxes, expected))
+        iou = pairwise_iou(boxes, expected)
+        alike = np.maximum(growth, 1 / np.maximum(growth, 1e-9)) <= self.params.max_growth
+        return np.where(alike & (iou >= self.params.min_iou), iou, 0)
 
     def _is_kept(self, track):
         """What was a vehicle may come back for a while; what never was one must go on growing."""

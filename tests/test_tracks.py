@@ -67,6 +67,34 @@ def test_a_vehicle_that_was_hidden_is_known_again_though_its_box_shrank():
     assert identity_after(kept_velocity=1.0) == [2]
 
 
+def test_what_hides_a_vehicle_does_not_take_its_identity():
+    # The one in front is twice as high, and its box covers half of the other's.
+    hidden, nearer = np.array([100, 100, 160, 140]), np.array([80, 95, 170, 175])
+
+    def identity_of_the_nearer(max_growth):
+        tracker = Tracker(TrackParams(max_growth=max_growth))
+        for _ in range(10):
+            step(tracker, boxes(hidden))
+        return step(tracker, boxes(nearer))
+
+    assert pairwise_iou(boxes(hidden), boxes(nearer))[0, 0] > 0.2
+    assert identity_of_the_nearer(max_growth=1.4) == [2]
+    assert identity_of_the_nearer(max_growth=np.inf) == [1]
+
+
+def test_a_vehicle_comes_out_again_side_first():
+    def identity_of_its_right_side(reach):
+        tracker = Tracker(TrackParams(reach=reach))
+        for _ in range(10):
+            step(tracker, boxes(box_at(100)))
+        for _ in range(10):
+            step(tracker, boxes())
+        return step(tracker, boxes((152, 100, 168, 140)))
+
+    assert identity_of_its_right_side(reach=0.25) == [1]
+    assert identity_of_its_right_side(reach=0) == [2]
+
+
 @pytest.mark.parametrize(("score", "least", "most"), [(1.5, 6, 20), (0.1, 1, 6), (-0.5, 0, 0)])
 def test_a_box_moves_its_track_by_how_sure_it_is(score, least, most):
     tracker = Tracker(TrackParams(most_evidence=8))
@@ -191,6 +219,8 @@ def test_expected_are_those_of_the_frame_before():
         {"birth": 2, "most_evidence": 1},
         {"miss_cost": 0},
         {"kept_velocity": 1.1},
+        {"max_growth": 1},
+        {"reach": -0.1},
     ],
 )
 def test_track_params_refuse(wrong):
