@@ -84,7 +84,7 @@ class ScanParams:
     cells_per_step: int = 2
     n_groups: int = 6
     threshold: float = -0.5
-    n_proposals: int = 6
+    n_proposals: int = 8
     overlap: float = 0.5
 
     def __post_init__(self):

@@ -26,7 +26,7 @@ from tracks import Tracker, TrackParams, pairwise_iou
 from viewer import Viewer
 
 DEFAULT_TRACKS = TrackParams(
-    min_iou=0.2, max_growth=1.4, reach=0.25, max_missed=75,
+    min_iou=0.2, max_growth=1.4, reach=0.25, max_missed=75, max_bridged=2,
     measurement_noise=0.1, process_noise=0.01, kept_velocity=0.8,
     birth=4.0, most_evidence=8.0, miss_cost=0.7,
 )  # fmt: skip
@@ -61,7 +61,8 @@ class Detections:
         Decision function of each; evidence of the track it belongs to, 0 for none.
     boxes : ndarray of int, shape (k, 4)
     scores : ndarray of float, shape (k,)
-        Decision function.
+        Decision function; 0 for a vehicle that has no box in this frame, and is
+        shown where it is expected.
     ids : ndarray of int, shape (k,)
         Identity of each vehicle, from 1, the same in every frame.
     """
@@ -169,12 +170,18 @@ class Vehicle(Viewer):
         tracks = self._tracker.update(candidates, scores)
         evidence = np.array([track.evidence if track else 0 for track in tracks])
         shown = [i for i, track in enumerate(tracks) if track and track.is_shown]
+        bridged = [
+            track for track in self._tracker.bridged()
+            if are_plausible(track.box[None], self._frame_shape, self.scan)[0]
+        ]  # fmt: skip
+        vehicles = [tracks[i] for i in shown] + bridged
+        vehicle_scores = np.concatenate([scores[shown], np.zeros(len(bridged))])
         rows, columns = self._frame_shape[:2]
-        boxes = np.array([tracks[i].box for i in shown]).reshape(-1, 4)
+        boxes = np.array([track.box for track in vehicles]).reshape(-1, 4)
         self._horizons.extend(boxes[:, 3] - _CAMERA_TO_CAR * (boxes[:, 3] - boxes[:, 1]))
         boxes = np.clip(np.rint(boxes), 0, (columns, rows, columns, rows)).astype(int)
-        ids = np.array([tracks[i].identity for i in shown], int)
-        return Detections(proposals, candidates, scores, evidence, boxes, scores[shown], ids)
+        ids = np.array([track.identity for track in vehicles], int)
+        return Detections(proposals, candidates, scores, evidence, boxes, vehicle_scores, ids)
 
     def step_pictures(self, rgb_frame, detections):
         """What `titles` name, each drawn on the frame.

@@ -82,6 +82,18 @@ def test_what_hides_a_vehicle_does_not_take_its_identity():
     assert identity_of_the_nearer(max_growth=np.inf) == [1]
 
 
+def test_a_gap_of_a_frame_or_two_is_bridged():
+    tracker = Tracker(TrackParams(max_bridged=2, most_evidence=8))
+    for i in range(10):
+        step(tracker, boxes(box_at(100 + 5 * i)))
+        assert tracker.bridged() == []
+    shown = []
+    for _ in range(4):
+        step(tracker, boxes())
+        shown.append([track.identity for track in tracker.bridged()])
+    assert shown == [[1], [1], [], []]
+
+
 def test_a_vehicle_comes_out_again_side_first():
     def identity_of_its_right_side(reach):
         tracker = Tracker(TrackParams(reach=reach))
@@ -214,6 +226,7 @@ def test_expected_are_those_of_the_frame_before():
         {"min_iou": 0},
         {"min_iou": 1},
         {"max_missed": -1},
+        {"max_bridged": -1},
         {"process_noise": 0},
         {"birth": -1},
         {"birth": 2, "most_evidence": 1},
