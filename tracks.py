@@ -3,9 +3,9 @@
 boxes -> predictions -> assignment -> correction -> identities
 
 Every vehicle has a Kalman filter of constant velocity. Its prediction is held
-against the boxes of the frame; what matches corrects it, the more the surer it
-is, and what does not match begins a track of its own. A vehicle out of sight
-keeps its track, and so its identity, for a while, but is not shown.
+against the boxes of the frame; what matches corrects it, boxes of low scores
+less than others, and what does not match begins a track of its own. A vehicle
+out of sight keeps its track, and so its identity, for a while, but is not shown.
 """
 
 from dataclasses import dataclass
