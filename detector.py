@@ -238,8 +238,8 @@ def level_groups(frame_shape, scan):
     side, levels = scan.smallest * width / 1280, []
     unit = scan.cells_per_step * WINDOW_CELL
     while side <= scan.largest * width / 1280:
-        # Whole steps, so that the last windows end where the frame ends:
-        # vehicles enter at its edges.
+        # Whole steps, so that the last windows end where the frame ends, or a cell
+        # before: vehicles enter at its edges.
         scale = side / (WINDOW_ROWS * WINDOW_CELL)
         bottom = min(height, int(high + side))
         rows = round((bottom - max(0, low - 0.75 * side)) / scale / unit) * unit

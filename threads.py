@@ -10,7 +10,7 @@ import cv2
 # cores from those that are here, and from the encoder.
 cv2.setNumThreads(1)
 
-_N_CORES = os.cpu_count()
+_N_CORES = os.cpu_count() or 1
 _THREADS = ThreadPoolExecutor(_N_CORES)
 
 
@@ -32,9 +32,14 @@ def side_by_side(function, items):
         In the order of the items.
     """
     futures = [_THREADS.submit(function, item) for item in items[1:]]
-    results = [function(item) for item in items[:1]]
-    for future, item in zip(futures, items[1:], strict=True):
-        results.append(function(item) if future.cancel() else future.result())
+    try:
+        results = [function(item) for item in items[:1]]
+        for future, item in zip(futures, items[1:], strict=True):
+            results.append(function(item) if future.cancel() else future.result())
+    finally:
+        # Where one has failed, nobody needs the others.
+        for future in futures:
+            future.cancel()
     return results
 
 

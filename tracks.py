@@ -27,8 +27,9 @@ class TrackParams:
         A box that is more times as high as the prediction, or as many times
         lower, is not the track's but that of what hides it.
     reach : float
-        Vehicles out of sight are looked for as far to each side, as a share of
-        their width: what comes out first is one side of them.
+        Where vehicles out of sight are looked for, boxes and predictions are
+        widened on each side by this share of their width: what comes out first
+        is one side of a vehicle.
     max_missed : int
         Frames that a track outlives without a box.
     max_bridged : int
@@ -39,8 +40,9 @@ class TrackParams:
         box whose score is 1, and of the change of their velocity from frame
         to frame.
     kept_velocity : float
-        Share of its velocity that a vehicle out of sight keeps from frame to
-        frame: what its box did last was mostly to shrink behind what hides it.
+        Share of its velocity that a vehicle keeps from frame to frame when it is
+        out of sight, or its box has no positive score: what its box did last
+        was mostly to shrink behind what hides it.
     birth : float
         Evidence, the sum of a track's scores, that makes it a vehicle.
     most_evidence : float
@@ -128,7 +130,8 @@ class Track:
         """Take in the box of this frame, and what it says.
 
         The edges of a box that hardly looks like a vehicle are those of
-        something else, most often of what hides it.
+        something else, most often of what hides it. Without a positive score
+        they are left alone, and `box` stays what was expected.
         """
         self.n_missed = 0
         if score > 0:

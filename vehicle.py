@@ -178,7 +178,8 @@ class Vehicle(Viewer):
         vehicle_scores = np.concatenate([scores[shown], np.zeros(len(bridged))])
         rows, columns = self._frame_shape[:2]
         boxes = np.array([track.box for track in vehicles]).reshape(-1, 4)
-        self._horizons.extend(boxes[:, 3] - _CAMERA_TO_CAR * (boxes[:, 3] - boxes[:, 1]))
+        seen = boxes[: len(shown)]
+        self._horizons.extend(seen[:, 3] - _CAMERA_TO_CAR * (seen[:, 3] - seen[:, 1]))
         boxes = np.clip(np.rint(boxes), 0, (columns, rows, columns, rows)).astype(int)
         ids = np.array([track.identity for track in vehicles], int)
         return Detections(proposals, candidates, scores, evidence, boxes, vehicle_scores, ids)

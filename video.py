@@ -4,10 +4,11 @@ Reading, what is done with the frames, and writing overlap: each has a thread,
 and short queues between them keep memory flat however long the video is.
 """
 
+import contextlib
 import queue
 import subprocess
+import tempfile
 import threading
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -128,7 +129,7 @@ def _ahead(items):
                 continue
 
 
-@contextmanager
+@contextlib.contextmanager
 def video_writer(path, info, preset="ultrafast"):
     """A function that appends an RGB frame to a video; encoding runs beside it.
 
@@ -167,7 +168,7 @@ def video_writer(path, info, preset="ultrafast"):
         n_written += 1
 
     with written_whole(path) as partial:
-        encoder = _Encoder(partial, info, preset)
+        encoder = _Encoder(partial, path, info, preset)
         try:
             yield write
         finally:
@@ -182,9 +183,16 @@ class _Encoder:
 
     moviepy's own writer hands it RGB, and its conversion to the brightness
     and colour that are encoded takes a third of the time of encoding.
+
+    Parameters
+    ----------
+    partial, path : Path
+        The file to write, and the name it will have.
+    info : VideoInfo
+    preset : str
     """
 
-    def __init__(self, path, info, preset):
+    def __init__(self, partial, path, info, preset):
         self._path = path
         # Colour is stored for two by two pixels.
         self._is_even = info.width % 2 == info.height % 2 == 0
@@ -192,10 +200,12 @@ class _Encoder:
         command = [
             FFMPEG_BINARY, "-y", "-loglevel", "error", "-f", "rawvideo", *pixels,
             "-s", f"{info.width}x{info.height}", "-r", str(info.fps), "-i", "-",
-            "-vcodec", "libx264", "-preset", preset, str(Path(path).resolve()),
+            "-vcodec", "libx264", "-preset", preset, str(Path(partial).resolve()),
         ]  # fmt: skip
+        # Not a pipe: nobody reads it before the end, and a full one stops ffmpeg.
+        self._complaints = tempfile.TemporaryFile()  # noqa: SIM115, `_feed` closes it
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._complaints
         )
         self._failure = None
         self._frames = queue.Queue(_QUEUE_LENGTH)
@@ -218,23 +228,28 @@ class _Encoder:
             raise OSError(f"{self._path}: cannot be encoded: {self._failure}")
 
     def _feed(self):
+        """Write queued frames until None comes; once something went wrong, only take them."""
         while (frame := self._frames.get()) is not None:
             if self._failure is None:
-                self._feed_one(frame)
-        if self._failure is None:
-            self._see_how_it_ended()
+                try:
+                    self._write(frame)
+                except BrokenPipeError as error:
+                    self._failure = self._last_words() if self._process.wait() else repr(error)
+                except Exception as error:
+                    self._failure = repr(error)
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.close()
+        if self._process.wait() and self._failure is None:
+            self._failure = self._last_words()
+        self._complaints.close()
 
-    def _feed_one(self, frame):
+    def _write(self, frame):
         if self._is_even:
             frame = cv2.cvtColor(frame, cv2.COLOR_RGB2YUV_I420)
-        try:
-            self._process.stdin.write(np.ascontiguousarray(frame))
-        except OSError:
-            self._see_how_it_ended()
+        self._process.stdin.write(np.ascontiguousarray(frame))
 
-    def _see_how_it_ended(self):
-        _, errors = self._process.communicate()
-        if self._process.returncode:
-            lines = errors.decode(errors="replace").strip().splitlines()
-            status = f"ffmpeg ended with status {self._process.returncode}"
-            self._failure = lines[-1] if lines else status
+    def _last_words(self):
+        self._complaints.seek(0)
+        lines = self._complaints.read().decode(errors="replace").strip().splitlines()
+        # The first complaint is the cause of the others.
+        return lines[0][:500] if lines else f"ffmpeg ended with status {self._process.returncode}"

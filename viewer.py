@@ -92,7 +92,7 @@ class Viewer:
         if rgb_frame.shape not in self._maps:
             self._maps[rgb_frame.shape] = self.calibration.maps(rgb_frame.shape)
         places, fractions = self._maps[rgb_frame.shape]
-        picture = np.empty_like(rgb_frame)
+        picture = np.empty(rgb_frame.shape, np.uint8)
 
         def fill(first, last):
             """Some rows of the picture."""

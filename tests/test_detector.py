@@ -13,6 +13,7 @@ from sklearn.metrics.pairwise import rbf_kernel
 from conftest import random_detector, textured_image
 from detector import (
     CELL_FEATURES,
+    FORMAT_VERSION,
     ORIENTATIONS,
     PATCH_CELL,
     PATCH_CELLS,
@@ -332,8 +333,8 @@ def test_what_is_no_detector_is_named(tmp_path):
     with pytest.raises(ValueError, match="an array of"):
         load_detector(path)
     np.savez(path, format_version=0)
-    with pytest.raises(ValueError, match="format 0, not 2"):
+    with pytest.raises(ValueError, match=f"format 0, not {FORMAT_VERSION}"):
         load_detector(path)
-    np.savez(path, format_version=1)
-    with pytest.raises(ValueError, match=r"detector\.npz: not a parameter file"):
+    np.savez(path, format_version=FORMAT_VERSION)
+    with pytest.raises(ValueError, match=r"detector\.npz: not a parameter file.*template0"):
         load_detector(path)

@@ -141,11 +141,12 @@ def test_filter_params_refuse():
 # --------------------------------------------------------------------- video
 
 
-def test_video_comes_back_in_rgb(tmp_path):
-    frames = list(moving_frames(12))
+@pytest.mark.parametrize(("rows", "columns"), [(180, 320), (181, 321)])
+def test_video_comes_back_in_rgb(tmp_path, rows, columns):
+    frames = list(moving_frames(12, rows, columns))
     path = write_video(tmp_path / "clip.mp4", frames)
     info = video_info(path)
-    assert (info.width, info.height, info.fps, info.n_frames) == (320, 180, 25, 12)
+    assert (info.width, info.height, info.fps, info.n_frames) == (columns, rows, 25, 12)
     back = list(read_frames(path))
     assert len(back) == 12
     patch = back[3][120:140, 70:100].reshape(-1, 3).mean(axis=0)
@@ -190,12 +191,31 @@ def test_failed_video_leaves_nothing(tmp_path):
     with pytest.raises(ValueError, match="no frame"), video_writer(tmp_path / "d.mp4", info):
         pass
     with (
-        pytest.raises(OSError, match="cannot be encoded"),
+        pytest.raises(OSError, match=r"/c\.mp4: cannot be encoded: .*no preset"),
         video_writer(tmp_path / "c.mp4", info, "no preset") as write,
     ):
         for frame in moving_frames(40):
             write(frame)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("script", "reason"),
+    [
+        ("head -c 100000 > /dev/null; echo out of paper >&2; exit 3", "out of paper"),
+        ("head -c 100000 > /dev/null; exit 0", "BrokenPipeError"),
+        ("head -c 300000 /dev/zero | tr '\\0' x >&2; cat > /dev/null; exit 1", "x"),
+        ("cat > /dev/null; exit 4", "status 4"),
+    ],
+)
+def test_an_encoder_that_fails_midway_is_named(tmp_path, monkeypatch, script, reason):
+    encoder = tmp_path / "encoder"
+    encoder.write_text(f"#!/bin/sh\n{script}\n")
+    encoder.chmod(0o755)
+    monkeypatch.setattr("video.FFMPEG_BINARY", str(encoder))
+    with pytest.raises(OSError, match=rf"/clip\.mp4: cannot be encoded: .*{reason}"):
+        write_video(tmp_path / "clip.mp4", moving_frames(40))
+    assert list(tmp_path.iterdir()) == [encoder]
 
 
 # ---------------------------------------------------------------- detect.py
