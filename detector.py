@@ -46,7 +46,7 @@ _MOST_BOXES = 400
 # Boxes that take longer to look at than waking a thread.
 _WORTH_A_THREAD = 2
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 
 
 @dataclass(frozen=True)
@@ -119,15 +119,15 @@ class Template:
 
 @dataclass(frozen=True)
 class KernelMachine:
-    """f(x) = sum_i weights_i exp(-gamma |x P + offset - centers_i|^2) + bias.
+    """f(x) = sum_i weights_i exp(-gamma |P x + offset - centers_i|^2) + bias.
 
     Attributes
     ----------
-    projection : ndarray of float32, shape (n_features, n_components)
+    projection : ndarray of float32, shape (n_components, n_features)
         P; scaling and principal components in one.
     offset : ndarray of float32, shape (n_components,)
     centers : ndarray of float32, shape (n, n_components)
-    weights : ndarray of float32, shape (n, n_outputs)
+    weights : ndarray of float32, shape (n_outputs, n)
     bias : ndarray of float32, shape (n_outputs,)
     gamma : float
     """
@@ -140,13 +140,10 @@ class KernelMachine:
     gamma: float
 
     def predict(self, features):
-        """Outputs for features of shape (n, n_features), shape (n, n_outputs)."""
-        components = np.zeros((len(features), len(self.offset)), np.float32)
-        _project(np.ascontiguousarray(features, np.float32), self.projection, components)
-        components += self.offset
-        outputs = np.empty((len(features), len(self.bias)), np.float32)
-        _kernel_sums(components, self.centers, np.float32(self.gamma), self.weights, outputs)
-        return outputs + self.bias
+        """Outputs for features of float32, shape (n, n_features), shape (n, n_outputs)."""
+        components = _products(features, self.projection) + self.offset
+        distances = _squared_distances(components, self.centers)
+        return _products(np.exp(np.float32(-self.gamma) * distances), self.weights) + self.bias
 
 
 @dataclass(frozen=True)
@@ -170,36 +167,38 @@ class Detector:
 
 # Not `@`: for so small a product BLAS wakes threads that then spin, and take
 # from whatever runs beside the search.
-_SUMS = {"reassoc", "contract", "nsz"}
+_COMPILE = dict(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=_SUMS)
-def _project(features, projection, components):
-    """components += features @ projection."""
-    for k in range(features.shape[1]):
-        for i in range(features.shape[0]):
-            value = features[i, k]
-            row = projection[k]
-            own = components[i]
-            for n in range(row.size):
-                own[n] += value * row[n]
+@njit(**_COMPILE)
+def _products(rows, others):
+    """rows @ others.T"""
+    products = np.empty((len(rows), len(others)), np.float32)
+    for k in range(len(others)):
+        other = others[k]
+        for i in range(len(rows)):
+            row = rows[i]
+            total = np.float32(0)
+            for n in range(other.size):
+                total += row[n] * other[n]
+            products[i, k] = total
+    return products
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=_SUMS)
-def _kernel_sums(components, centers, gamma, weights, outputs):
-    """Weighted sums of a Gaussian of the distance to every center."""
-    outputs[:] = 0
-    for j in range(centers.shape[0]):
-        center = centers[j]
-        for i in range(components.shape[0]):
-            own = components[i]
-            squared = np.float32(0)
-            for n in range(center.size):
-                difference = own[n] - center[n]
-                squared += difference * difference
-            value = np.exp(-gamma * squared)
-            for n in range(weights.shape[1]):
-                outputs[i, n] += weights[j, n] * value
+@njit(**_COMPILE)
+def _squared_distances(rows, others):
+    """Of every row to every other, shape (n, m)."""
+    distances = np.empty((len(rows), len(others)), np.float32)
+    for k in range(len(others)):
+        other = others[k]
+        for i in range(len(rows)):
+            row = rows[i]
+            total = np.float32(0)
+            for n in range(other.size):
+                difference = row[n] - other[n]
+                total += difference * difference
+            distances[i, k] = total
+    return distances
 
 
 # --------------------------------------------------------------- first stage
@@ -410,7 +409,8 @@ def patch_features(img, boxes):
         return features
     patches = [cut_patch(img, box) for box in boxes]
     # All patches are the channels of one image, for a pass of HOG has its price.
-    hog = hog_blocks(np.concatenate(patches, axis=2), ORIENTATIONS, PATCH_CELL, 1)[..., 0, 0, :]
+    channels = np.array([cv2.split(patch) for patch in patches]).reshape(-1, *patches[0].shape[:2])
+    hog = hog_blocks(channels.transpose(1, 2, 0), ORIENTATIONS, PATCH_CELL, 1)[..., 0, 0, :]
     hog = hog.reshape(len(boxes), 3, PATCH_SIDE, PATCH_SIDE, ORIENTATIONS).transpose(0, 2, 3, 1, 4)
     features[..., : 3 * ORIENTATIONS] = hog.reshape(*features.shape[:3], -1)
     size = PATCH_SIDE, PATCH_SIDE
@@ -468,29 +468,42 @@ def _look_closer(img, boxes, detector):
     return boxes, scores
 
 
-def keep_wholes(boxes, scores, overlap=0.45, covered=0.7):
-    """Of boxes that overlap or lie within each other, keep the better ones.
+def are_rivals(boxes, others, overlap=0.45, covered=0.7):
+    """Which boxes cannot frame two vehicles that are both seen.
+
+    Parameters
+    ----------
+    boxes, others : ndarray of float, shapes (n, 4) and (m, 4)
+    overlap, covered : float
+        Two boxes are rivals if their IoU is above the first, or if the smaller
+        of them is covered by more than the second.
+
+    Returns
+    -------
+    rivals : ndarray of bool, shape (n, m)
+    """
+    smaller = np.minimum(box_areas(boxes)[:, None], box_areas(others)[None])
+    within = pairwise_overlap(boxes, others) > covered * smaller
+    return within | (pairwise_iou(boxes, others) > overlap)
+
+
+def keep_wholes(boxes, scores):
+    """Of boxes that are rivals, keep the better ones.
 
     Parameters
     ----------
     boxes : ndarray of float, shape (n, 4)
     scores : ndarray, shape (n,)
-    overlap, covered : float
-        A box goes if its IoU with a better one is above the first, or if the
-        smaller of the two is covered by more than the second.
 
     Returns
     -------
     kept : ndarray of int
         Indices, best first.
     """
-    areas = box_areas(boxes)
-    smaller = np.minimum(areas[:, None], areas[None])
-    rival = pairwise_overlap(boxes, boxes) > covered * smaller
-    rival |= pairwise_iou(boxes, boxes) > overlap
+    rivals = are_rivals(boxes, boxes)
     kept = []
     for i in np.argsort(-scores):
-        if not rival[i, kept].any():
+        if not rivals[i, kept].any():
             kept.append(i)
     return np.array(kept, int)
 
@@ -601,8 +614,8 @@ def _read_machine(arrays, name, n_features, n_outputs):
     values = [arrays[f"{name}_{field}"].astype(np.float32) for field in fields]
     n_components, n_centers = len(values[1]), len(values[2])
     shapes = (
-        (n_features, n_components), (n_components,), (n_centers, n_components),
-        (n_centers, n_outputs), (n_outputs,),
+        (n_components, n_features), (n_components,), (n_centers, n_components),
+        (n_outputs, n_centers), (n_outputs,),
     )  # fmt: skip
     for array, shape in zip(values, shapes, strict=True):
         _require_shape(array, shape)

@@ -551,15 +551,15 @@ def fit_components(features, rng):
     scale = np.maximum(scaler.scale_, 0.01)
     some *= scaler.scale_ / scale
     pca = PCA(_N_COMPONENTS, svd_solver="randomized", random_state=0).fit(some)
-    projection = (pca.components_ / scale).T
-    offset = -(scaler.mean_ @ projection) - pca.mean_ @ pca.components_.T
+    projection = pca.components_ / scale
+    offset = -(projection @ scaler.mean_) - pca.components_ @ pca.mean_
     return projection.astype(np.float32), offset.astype(np.float32)
 
 
 def apply_components(features, projection, offset, n_rows=5000):
     """Components of many features, a part at a time."""
     parts = (features[i : i + n_rows] for i in range(0, len(features), n_rows))
-    return np.concatenate([part.astype(np.float32) @ projection + offset for part in parts])
+    return np.concatenate([part.astype(np.float32) @ projection.T + offset for part in parts])
 
 
 def fit_kernel(features, rng):
@@ -584,7 +584,7 @@ def fit_regressor(features, shifts, rng, alpha=0.1):
     ridge = Ridge(alpha=alpha, solver="cholesky").fit(
         rbf_kernel(components.astype(float), centers.astype(float), gamma), shifts
     )
-    weights = ridge.coef_.T.astype(np.float32)
+    weights = ridge.coef_.astype(np.float32)
     bias = ridge.intercept_.astype(np.float32)
     return KernelMachine(projection, offset, centers, weights, bias, gamma)
 
@@ -661,7 +661,7 @@ def fit_scorer(features, labels, rng, C=1.0):
     nystroem = Nystroem(gamma=gamma, n_components=len(centers), random_state=0).fit(centers)
     mapped = nystroem.transform(components).astype(np.float32)
     svm = LinearSVC(C=C, dual=False, class_weight="balanced", max_iter=200).fit(mapped, labels)
-    weights = (nystroem.normalization_.T @ svm.coef_[0])[:, None].astype(np.float32)
+    weights = (nystroem.normalization_.T @ svm.coef_[0])[None].astype(np.float32)
     centers = nystroem.components_.astype(np.float32)
     bias = svm.intercept_.astype(np.float32)
     return KernelMachine(projection, offset, centers, weights, bias, gamma)

@@ -14,6 +14,7 @@ from detector import (
     DEFAULT_SCAN,
     ScanParams,
     are_plausible,
+    are_rivals,
     keep_wholes,
     level_groups,
     load_detector,
@@ -38,7 +39,6 @@ STILL_TRACKS = TrackParams(birth=0.5)
 _SAME_IOU = 0.6
 # Where two boxes are rivals, the one that goes on with a track is believed more.
 _TRUST_IN_TRACKS = 0.3
-
 # Height of a camera behind the windscreen by that of a car. Only vehicles
 # tell where the horizon is, and they do so from some fifty boxes on.
 _CAMERA_TO_CAR = 0.8
@@ -170,19 +170,21 @@ class Vehicle(Viewer):
         tracks = self._tracker.update(candidates, scores)
         evidence = np.array([track.evidence if track else 0 for track in tracks])
         shown = [i for i, track in enumerate(tracks) if track and track.is_shown]
-        bridged = [
-            track for track in self._tracker.bridged()
-            if are_plausible(track.box[None], self._frame_shape, self.scan)[0]
-        ]  # fmt: skip
+        seen = np.array([tracks[i].box for i in shown]).reshape(-1, 4)
+        bridged = [track for track in self._tracker.bridged() if self._may_be_at(track.box, seen)]
         vehicles = [tracks[i] for i in shown] + bridged
         vehicle_scores = np.concatenate([scores[shown], np.zeros(len(bridged))])
         rows, columns = self._frame_shape[:2]
         boxes = np.array([track.box for track in vehicles]).reshape(-1, 4)
-        seen = boxes[: len(shown)]
         self._horizons.extend(seen[:, 3] - _CAMERA_TO_CAR * (seen[:, 3] - seen[:, 1]))
         boxes = np.clip(np.rint(boxes), 0, (columns, rows, columns, rows)).astype(int)
         ids = np.array([track.identity for track in vehicles], int)
         return Detections(proposals, candidates, scores, evidence, boxes, vehicle_scores, ids)
+
+    def _may_be_at(self, box, seen):
+        """Whether a vehicle without a box may be where it is expected, beside those seen."""
+        plausible = are_plausible(box[None], self._frame_shape, self.scan)[0]
+        return plausible and not are_rivals(box[None], seen).any()
 
     def step_pictures(self, rgb_frame, detections):
         """What `titles` name, each drawn on the frame.

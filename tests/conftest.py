@@ -69,10 +69,10 @@ def random_detector(seed):
         arrays = [
             rng.normal(0, scale, shape).astype(np.float32)
             for scale, shape in (
-                (0.05, (n_cells * PATCH_FEATURES, 20)),
+                (0.05, (20, n_cells * PATCH_FEATURES)),
                 (0.1, 20),
                 (0.5, (30, 20)),
-                (size, (30, n_outputs)),
+                (size, (n_outputs, 30)),
                 (0.01, n_outputs),
             )
         ]

@@ -217,13 +217,13 @@ def test_patches_hold_hog_and_mean_colour():
 def test_kernel_machine_is_a_sum_of_gaussians(count, seed):
     rng = np.random.default_rng(seed)
     arrays = [
-        rng.normal(size=shape).astype(np.float32) for shape in ((30, 7), 7, (50, 7), (50, 4), 4)
+        rng.normal(size=shape).astype(np.float32) for shape in ((7, 30), 7, (50, 7), (4, 50), 4)
     ]
     machine = KernelMachine(*arrays, gamma=0.05)
     features = rng.normal(size=(count, 30)).astype(np.float32)
     projection, offset, centers, weights, bias = arrays
     expected = bias + (
-        rbf_kernel(features @ projection + offset, centers, 0.05) @ weights if count else 0
+        rbf_kernel(features @ projection.T + offset, centers, 0.05) @ weights.T if count else 0
     )
     np.testing.assert_allclose(
         machine.predict(features), np.broadcast_to(expected, (count, 4)), atol=1e-3

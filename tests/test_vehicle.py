@@ -54,6 +54,18 @@ def test_boxes_are_whole_pixels_of_the_frame_with_identities_of_their_own(path):
     assert n_boxes > 0
 
 
+@pytest.mark.parametrize("left, is_bridged", [(10, False), (190, True)])
+def test_a_gap_is_bridged_only_beside_what_is_seen(path, left, is_bridged):
+    vehicle = Vehicle(None, path)
+    vehicle.detect(textured_image(0, 180, 320))
+    known, nearer = np.array([[20.0, 60, 80, 100]]), np.array([[left, 40.0, left + 100, 110]])
+    for boxes in (known, nearer):
+        vehicle._tracker.predict()
+        detections = vehicle._follow(boxes, boxes, np.array([6.0]))
+    assert (detections.scores == 0).any() == is_bridged
+    assert len(detections.boxes) == 1 + is_bridged
+
+
 def test_reset_forgets(path):
     vehicle = Vehicle(None, path, track_params=EAGER)
     first = [vehicle.detect(frame) for frame in frames(8)]
