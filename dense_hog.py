@@ -88,31 +88,26 @@ def _cell_histograms(img, orientations, pix_per_cell):
     histograms = np.zeros((channels, cell_rows, columns // pix_per_cell, orientations), np.float32)
 
     def vote(first, last):
-        """Let the pixels of the cell rows first..last vote; places that are left out."""
-        unsettled = np.empty(((last - first) * pix_per_cell * columns * channels, 3), np.int32)
+        """Let the pixels of the cell rows first..last vote; those that are left out."""
+        unsettled = np.empty(((last - first) * pix_per_cell * columns * channels, 5))
         return unsettled[: _vote(img, pix_per_cell, first, last, histograms, unsettled)]
 
     unsettled = np.concatenate(share(vote, cell_rows, 1 + img.size // _WORTH_A_THREAD))
     if len(unsettled):
-        _vote_exactly(img, pix_per_cell, histograms, unsettled)
+        _vote_exactly(unsettled, histograms)
     histograms /= np.float32(pix_per_cell**2)
     return histograms
 
 
-def _vote_exactly(img, pix_per_cell, histograms, places):
-    """Vote for (channel, row, column) places with scikit-image's own arithmetic."""
-    channel, row, column = places.T
-    gradient_row = _ROOT[img[row + 1, column, channel]] - _ROOT[img[row - 1, column, channel]]
-    gradient_column = _ROOT[img[row, column + 1, channel]] - _ROOT[img[row, column - 1, channel]]
+def _vote_exactly(unsettled, histograms):
+    """Vote with scikit-image's own arithmetic, see `_vote`."""
+    gradient_row, gradient_column = unsettled[:, 3:].T
     angle = np.rad2deg(np.arctan2(gradient_row, gradient_column)) % 180
     orientations = histograms.shape[-1]
     upper_edges = 180.0 / orientations * np.arange(1, orientations + 1)
     orientation = np.searchsorted(upper_edges, angle, side="right")
-    np.add.at(
-        histograms,
-        (channel, row // pix_per_cell, column // pix_per_cell, orientation),
-        np.hypot(gradient_row, gradient_column),
-    )
+    cells = tuple(unsettled[:, :3].T.astype(int))
+    np.add.at(histograms, (*cells, orientation), np.hypot(gradient_row, gradient_column))
 
 
 @njit(**_COMPILE)
@@ -162,10 +157,16 @@ def _gradients(neighbours, magnitudes, bins, orientations):
 
 
 @njit(**_COMPILE)
-def _precise_bin(img, channel, row, column, orientations):
-    """Bin in double precision, unless rounding alone decides it."""
-    x = _ROOT[img[row, column + 1, channel]] - _ROOT[img[row, column - 1, channel]]
+def _precise_gradient(img, channel, row, column):
+    """Gradient along rows and columns of a pixel that is not on the border."""
     y = _ROOT[img[row + 1, column, channel]] - _ROOT[img[row - 1, column, channel]]
+    x = _ROOT[img[row, column + 1, channel]] - _ROOT[img[row, column - 1, channel]]
+    return y, x
+
+
+@njit(**_COMPILE)
+def _precise_bin(y, x, orientations):
+    """Bin in double precision, unless rounding alone decides it."""
     position = math.atan2(y, x) / math.pi * orientations
     if position < 0:
         position += orientations
@@ -176,7 +177,11 @@ def _precise_bin(img, channel, row, column, orientations):
 
 @njit(**_COMPILE)
 def _vote(img, pix_per_cell, first_cell_row, last_cell_row, histograms, unsettled):
-    """Add the magnitude of the pixels of some rows to their cells; list the places left out."""
+    """Add the magnitude of the pixels of some rows to their cells; list those left out.
+
+    A row of `unsettled` is a pixel's channel, cell row, cell column, and gradient
+    along rows and columns. Returns how many there are.
+    """
     rows, columns, channels = img.shape
     _, _, cell_columns, orientations = histograms.shape
     first_row = first_cell_row * pix_per_cell
@@ -206,14 +211,15 @@ def _vote(img, pix_per_cell, first_cell_row, last_cell_row, histograms, unsettle
                     column = np.uint32(cell * pix_per_cell + offset)
                     k = bins[column]
                     if k < 0:
-                        k = _precise_bin(img, channel, row, column, orientations)
-                    if k >= 0:
-                        cells[cell, np.uint32(k)] += magnitudes[column]
-                    else:
-                        unsettled[n_unsettled, 0] = channel
-                        unsettled[n_unsettled, 1] = row
-                        unsettled[n_unsettled, 2] = column
-                        n_unsettled += 1
+                        y, x = _precise_gradient(img, channel, row, column)
+                        k = _precise_bin(y, x, orientations)
+                        if k < 0:
+                            left_out = unsettled[n_unsettled]
+                            left_out[0], left_out[1] = channel, row // pix_per_cell
+                            left_out[2], left_out[3], left_out[4] = cell, y, x
+                            n_unsettled += 1
+                            continue
+                    cells[cell, np.uint32(k)] += magnitudes[column]
     return n_unsettled
 
 
