@@ -5,6 +5,7 @@ and short queues between them keep memory flat however long the video is.
 """
 
 import contextlib
+import os
 import queue
 import subprocess
 import tempfile
@@ -19,6 +20,9 @@ from moviepy.config import FFMPEG_BINARY
 from files import written_whole
 
 _QUEUE_LENGTH = 8
+# Decoding runs beside the search. Threads that take turns at one frame each need more
+# time in all than one thread does.
+_DECODERS = max(1, (os.cpu_count() or 1) // 2)
 ENCODER_PRESETS = (
     "ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow",
 )  # fmt: skip
@@ -56,7 +60,7 @@ def video_info(path):
 def _open(path):
     if not Path(path).is_file():
         raise FileNotFoundError(f"{path}: no such video")
-    capture = cv2.VideoCapture(str(path))
+    capture = cv2.VideoCapture(str(path), cv2.CAP_ANY, [cv2.CAP_PROP_N_THREADS, _DECODERS])
     if not capture.isOpened() or not capture.get(cv2.CAP_PROP_FPS):
         raise ValueError(f"{path}: not a readable video: convert it to mp4 or replace it")
     return capture
