@@ -29,7 +29,7 @@ from sklearn.svm import LinearSVC
 from classifier import load_classifier
 from dense_hog import hog_blocks
 from detect import annotate_video
-from detector import COLOR, keep_wholes, level_groups, look_closer, propose
+from detector import keep_wholes, level_groups, look_closer, propose
 from files import find_images, read_image, written_whole
 from heat_vehicle import HeatVehicle
 from pipeline_functions import (
@@ -126,13 +126,11 @@ def stages_of_two(frames, paths):
     for frame in frames[-20:]:
         detections = vehicle.detect(frame)
     scan, learned = vehicle.scan, vehicle.detector
-    img = convert_color(frame, COLOR)
-    groups = cycle(level_groups(img.shape[:2], scan))
+    groups = cycle(level_groups(frame.shape[:2], scan))
     candidates, scores = detections.candidates, detections.candidate_scores
     calls = {
-        "colour": lambda: convert_color(frame, COLOR),
-        "first stage": lambda: propose(img, next(groups), learned.templates, scan),
-        "closer look": lambda: look_closer(img, detections.proposals, learned),
+        "first stage": lambda: propose(frame, next(groups), learned.templates, scan),
+        "closer look": lambda: look_closer(frame, detections.proposals, learned),
         "rivals": lambda: keep_wholes(candidates, scores),
     }
     return {name: milliseconds(call, 40) for name, call in calls.items()}

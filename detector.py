@@ -12,7 +12,7 @@ Frames are RGB, uint8. Boxes are float arrays of shape (n, 4): left, top,
 right, bottom in pixels of the frame.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from numba import njit
 
 from dense_hog import correlate, hog_blocks
 from files import written_whole
+from pipeline_functions import convert_color
 from threads import share, side_by_side
 from tracks import box_areas, pairwise_iou, pairwise_overlap
 
@@ -38,15 +39,20 @@ PATCH_MARGIN = 1
 PATCH_CELL = 8
 # HOG of the luma, mean colour.
 CELL_FEATURES = ORIENTATIONS + 3
-PATCH_FEATURES = 3 * (ORIENTATIONS + 1)
 PATCH_SIDE = PATCH_CELLS + 2 * PATCH_MARGIN
+# Left, top, right, bottom: which margins are outside of the frame.
+N_BORDERS = 4
+N_INNER_FEATURES = 3 * PATCH_CELLS**2 * (ORIENTATIONS + 1) + N_BORDERS
+N_ALL_FEATURES = 3 * PATCH_SIDE**2 * (ORIENTATIONS + 1) + N_BORDERS
 
 # Suppression compares each box with each: only so many of the best.
 _MOST_BOXES = 400
+# What scores less where it was proposed is not a vehicle nearby either.
+_HOPELESS = -1.0
 # Boxes that take longer to look at than waking a thread.
 _WORTH_A_THREAD = 2
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,9 @@ class ScanParams:
         So many of the best of each level are looked at closely. Were they
         taken from all levels together, the many small windows would crowd out
         the few large ones.
+    n_entering : int
+        And so many more of the best that end within a cell of the left or right
+        border: vehicles that enter show too little to be among the best.
     overlap : float
         IoU above which the better of two windows is taken for both.
     """
@@ -85,6 +94,7 @@ class ScanParams:
     n_groups: int = 6
     threshold: float = -0.5
     n_proposals: int = 8
+    n_entering: int = 2
     overlap: float = 0.5
 
     def __post_init__(self):
@@ -94,13 +104,37 @@ class ScanParams:
             raise ValueError(f"neighbouring heights need a ratio above 1, not {self.ratio}")
         if not 0 < self.horizon[0] <= self.horizon[1] < 1:
             raise ValueError(f"the horizon lies between 0 and 1, not at {self.horizon}")
-        if min(self.cells_per_step, self.n_groups, self.n_proposals) < 1:
-            raise ValueError("cells_per_step, n_groups and n_proposals start at 1")
+        if min(self.cells_per_step, self.n_groups, self.n_proposals) < 1 or self.n_entering < 0:
+            raise ValueError("cells_per_step, n_groups and n_proposals start at 1, n_entering at 0")
         if not 0 < self.overlap < 1:
             raise ValueError(f"an overlap lies between 0 and 1, not at {self.overlap}")
 
 
 DEFAULT_SCAN = ScanParams()
+
+# How far hills and the camera's nodding may take the horizon, and in what steps
+# it is followed: shares of the frame's height.
+_HORIZON_MARGIN, _HORIZON_STEP = 0.05, 0.02
+
+
+def near_horizon(scan, horizon):
+    """The scan with its horizon narrowed down to where it is known to be.
+
+    Parameters
+    ----------
+    scan : ScanParams
+    horizon : float
+        Share of the frame's height; the nearest within `scan.horizon` is taken.
+
+    Returns
+    -------
+    scan : ScanParams
+    """
+    low, high = scan.horizon
+    # In steps, for levels are laid out anew wherever it moves.
+    middle = np.clip(round(horizon / _HORIZON_STEP) * _HORIZON_STEP, low, high)
+    margin = _HORIZON_MARGIN
+    return replace(scan, horizon=(max(low, middle - margin), min(high, middle + margin)))
 
 
 @dataclass(frozen=True)
@@ -261,12 +295,13 @@ def cell_features(img):
     Parameters
     ----------
     img : ndarray of uint8, shape (rows, columns, 3)
-        YCrCb.
+        RGB.
 
     Returns
     -------
     features : ndarray of float32, shape (cell rows, cell columns, CELL_FEATURES)
     """
+    img = convert_color(img, COLOR)
     hog = hog_blocks(img[..., :1], ORIENTATIONS, WINDOW_CELL, 1)[0, :, :, 0, 0]
     rows, columns, _ = hog.shape
     features = np.empty((rows, columns, CELL_FEATURES), np.float32)
@@ -303,7 +338,7 @@ def propose(img, levels, templates, scan):
     Parameters
     ----------
     img : ndarray of uint8, shape (rows, columns, 3)
-        YCrCb.
+        RGB.
     levels : list of Level
     templates : tuple of Template
     scan : ScanParams
@@ -337,7 +372,10 @@ def _propose_on_level(img, level, templates, scan):
         corners = np.stack([column, row, column + columns, row + rows], axis=1)
         boxes.append(corners * (x, y, x, y) + (0, level.top, 0, level.top))
     boxes, scores = np.concatenate(boxes), np.concatenate(scores)
-    best = suppress(boxes, scores, scan.overlap)[: scan.n_proposals]
+    best = suppress(boxes, scores, scan.overlap)
+    first, others = np.split(best, [scan.n_proposals])
+    at_side = (boxes[:, 0] < 1.5 * x) | (boxes[:, 2] > strip.shape[1] - 1.5 * x)
+    best = np.concatenate([first, others[at_side[others]][: scan.n_entering]])
     return boxes[best], scores[best]
 
 
@@ -364,70 +402,130 @@ def suppress(boxes, scores, overlap):
 # -------------------------------------------------------------- second stage
 
 
-def cut_patch(img, box):
-    """A box with its margin as a square; outside the frame its edge goes on.
+def cut_out(img, box, size):
+    """A box of the frame, resized; outside of the frame its edge goes on.
 
     Parameters
     ----------
     img : ndarray of uint8, shape (rows, columns, 3)
-    box : array-like of float, shape (4,)
+    box : sequence of int
+        Left, top, right, bottom.
+    size : (columns, rows)
 
     Returns
     -------
-    patch : ndarray of uint8, shape (side, side, 3)
+    cut : ndarray of uint8, shape (*size[::-1], 3)
     """
     left, top, right, bottom = box
-    side = PATCH_SIDE * PATCH_CELL
-    margin = PATCH_MARGIN * PATCH_CELL
-    x, y = (right - left) / (PATCH_CELLS * PATCH_CELL), (bottom - top) / (PATCH_CELLS * PATCH_CELL)
-    # Middles of pixels lie at whole coordinates, their edges half a pixel before.
-    matrix = np.array(
-        [
-            [x, 0, left - margin * x + 0.5 * x - 0.5],
-            [0, y, top - margin * y + 0.5 * y - 0.5],
-        ]
-    )
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return cv2.warpAffine(img, matrix, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    rows, above, below = _overlap(top, bottom, img.shape[0])
+    columns, before, behind = _overlap(left, right, img.shape[1])
+    inside = img[rows, columns]
+    if above or below or before or behind:
+        inside = cv2.copyMakeBorder(inside, above, below, before, behind, cv2.BORDER_REPLICATE)
+    return cv2.resize(inside, size, interpolation=cv2.INTER_LINEAR)
 
 
-def patch_features(img, boxes):
-    """HOG and mean colour of the cells of every box and its margin.
+def _overlap(start, stop, length):
+    """What of start..stop lies within 0..length, at least one; how many before and behind."""
+    first = min(max(start, 0), length - 1)
+    last = max(min(stop, length), first + 1)
+    before = min(max(-start, 0), stop - start - 1)
+    return slice(first, last), before, stop - start - before - (last - first)
+
+
+def on_whole_pixels(boxes):
+    """Boxes moved by less than a pixel, so that with their margins they end between pixels.
 
     Parameters
     ----------
-    img : ndarray of uint8, shape (rows, columns, 3)
-        YCrCb.
     boxes : ndarray of float, shape (n, 4)
 
     Returns
     -------
-    features : ndarray of float32, shape (n, PATCH_SIDE, PATCH_SIDE, PATCH_FEATURES)
+    boxes : ndarray of float, shape (n, 4)
     """
-    features = np.empty((len(boxes), PATCH_SIDE, PATCH_SIDE, PATCH_FEATURES), np.float32)
+    return _without_margins(_with_margins(boxes))
+
+
+def _with_margins(boxes):
+    """Boxes with their margins, shape (n, 4), int."""
+    aside = PATCH_MARGIN / PATCH_CELLS * (boxes[:, 2:] - boxes[:, :2])
+    low = np.rint(boxes[:, :2] - aside)
+    high = np.maximum(np.rint(boxes[:, 2:] + aside), low + 1)
+    return np.hstack([low, high]).astype(int)
+
+
+def _without_margins(boxes):
+    aside = PATCH_MARGIN / PATCH_SIDE * (boxes[:, 2:] - boxes[:, :2])
+    return np.hstack([boxes[:, :2] + aside, boxes[:, 2:] - aside])
+
+
+def patch_features(img, boxes):
+    """HOG and mean of the cells of every box and its margin.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        RGB.
+    boxes : ndarray of float, shape (n, 4)
+
+    Returns
+    -------
+    features : ndarray of float32, shape (n, 3, PATCH_SIDE, PATCH_SIDE, ORIENTATIONS + 1)
+        Of the channels of YCrCb.
+    """
+    features = np.empty((len(boxes), 3, PATCH_SIDE, PATCH_SIDE, ORIENTATIONS + 1), np.float32)
     if not len(boxes):
         return features
-    patches = [cut_patch(img, box) for box in boxes]
+    size = PATCH_SIDE * PATCH_CELL, PATCH_SIDE * PATCH_CELL
+    patches = [
+        convert_color(cut_out(img, box, size), COLOR) for box in _with_margins(boxes).tolist()
+    ]
+    channels = np.array([cv2.split(patch) for patch in patches]).reshape(-1, *size)
     # All patches are the channels of one image, for a pass of HOG has its price.
-    channels = np.array([cv2.split(patch) for patch in patches]).reshape(-1, *patches[0].shape[:2])
-    hog = hog_blocks(channels.transpose(1, 2, 0), ORIENTATIONS, PATCH_CELL, 1)[..., 0, 0, :]
-    hog = hog.reshape(len(boxes), 3, PATCH_SIDE, PATCH_SIDE, ORIENTATIONS).transpose(0, 2, 3, 1, 4)
-    features[..., : 3 * ORIENTATIONS] = hog.reshape(*features.shape[:3], -1)
+    hog = hog_blocks(channels.transpose(1, 2, 0), ORIENTATIONS, PATCH_CELL, 1)
+    features[..., :ORIENTATIONS] = hog.reshape(*features.shape[:-1], -1)
     size = PATCH_SIDE, PATCH_SIDE
-    means = [cv2.resize(patch, size, interpolation=cv2.INTER_AREA) for patch in patches]
-    np.multiply(means, np.float32(1 / 255), out=features[..., 3 * ORIENTATIONS :])
+    for patch, own in zip(patches, features, strict=True):
+        means = cv2.resize(patch, size, interpolation=cv2.INTER_AREA)
+        np.multiply(means.transpose(2, 0, 1), np.float32(1 / 255), out=own[..., ORIENTATIONS])
     return features
 
 
-def inner_cells(features):
-    """Features of the boxes without their margins, flat: (n, PATCH_CELLS**2 * PATCH_FEATURES)."""
+def margins_outside(boxes, frame_shape):
+    """How much of the margin on each side of a box lies outside of the frame.
+
+    Half a car that ends where the frame ends is a vehicle that enters; half a
+    car anywhere else is a part of one.
+
+    Parameters
+    ----------
+    boxes : ndarray of float, shape (n, 4)
+    frame_shape : (rows, columns, ...)
+
+    Returns
+    -------
+    shares : ndarray of float32, shape (n, N_BORDERS)
+        Left, top, right, bottom; from 0 to 1.
+    """
+    rows, columns = frame_shape[:2]
+    left, top, right, bottom = boxes.T
+    to_border = np.stack([left, top, columns - right, rows - bottom], axis=1)
+    cell = (boxes[:, 2:] - boxes[:, :2]) / PATCH_CELLS
+    within = to_border / np.maximum(PATCH_MARGIN * np.hstack([cell, cell]), 1e-9)
+    return np.clip(1 - within, 0, 1).astype(np.float32)
+
+
+def inner_cells(features, outside):
+    """Features of the boxes without their margins, and `margins_outside`: (n, N_INNER_FEATURES)."""
     inner = slice(PATCH_MARGIN, PATCH_MARGIN + PATCH_CELLS)
-    return features[:, inner, inner].reshape(-1, PATCH_CELLS**2 * PATCH_FEATURES)
+    cells = features[:, :, inner, inner].reshape(-1, N_INNER_FEATURES - N_BORDERS)
+    return np.hstack([cells, outside])
 
 
-def all_cells(features):
-    """Features of the boxes with their margins, flat: (n, PATCH_SIDE**2 * PATCH_FEATURES)."""
-    return features.reshape(-1, PATCH_SIDE**2 * PATCH_FEATURES)
+def all_cells(features, outside):
+    """Features of the boxes with their margins, and `margins_outside`: (n, N_ALL_FEATURES)."""
+    return np.hstack([features.reshape(-1, N_ALL_FEATURES - N_BORDERS), outside])
 
 
 def move_edges(boxes, shifts):
@@ -442,7 +540,7 @@ def look_closer(img, boxes, detector):
     Parameters
     ----------
     img : ndarray of uint8, shape (rows, columns, 3)
-        YCrCb.
+        RGB.
     boxes : ndarray of float, shape (n, 4)
     detector : Detector
 
@@ -462,9 +560,16 @@ def look_closer(img, boxes, detector):
 
 def _look_closer(img, boxes, detector):
     """`look_closer` on one core."""
-    features = all_cells(patch_features(img, boxes))
-    boxes = move_edges(boxes, detector.regressor.predict(features))
-    scores = detector.scorer.predict(inner_cells(patch_features(img, boxes)))[:, 0]
+    boxes = on_whole_pixels(boxes)
+    outside = margins_outside(boxes, img.shape)
+    features = patch_features(img, boxes)
+    scores = detector.scorer.predict(inner_cells(features, outside))[:, 0]
+    near = scores > _HOPELESS
+    shifts = detector.regressor.predict(all_cells(features[near], outside[near]))
+    moved = on_whole_pixels(move_edges(boxes[near], shifts))
+    boxes[near] = moved
+    features, outside = patch_features(img, moved), margins_outside(moved, img.shape)
+    scores[near] = detector.scorer.predict(inner_cells(features, outside))[:, 0]
     return boxes, scores
 
 
@@ -506,27 +611,6 @@ def keep_wholes(boxes, scores):
         if not rivals[i, kept].any():
             kept.append(i)
     return np.array(kept, int)
-
-
-def stand_on_road(boxes, horizon):
-    """Which boxes could frame a vehicle that stands on the road.
-
-    On a flat road the bottom of a vehicle lies below the horizon by its
-    height in pixels times h / H, h being the height of the camera and H that
-    of the vehicle, both in metres: about 0.8 for cars, 0.3 for lorries. Signs
-    and bridges have their bottom above it.
-
-    Parameters
-    ----------
-    boxes : ndarray of float, shape (n, 4)
-    horizon : float
-        Row in which the road vanishes.
-
-    Returns
-    -------
-    standing : ndarray of bool, shape (n,)
-    """
-    return boxes[:, 3] - horizon > 0.2 * (boxes[:, 3] - boxes[:, 1])
 
 
 def are_plausible(boxes, frame_shape, scan):
@@ -594,8 +678,8 @@ def load_detector(path):
                 Template(arrays[f"template{i}_weights"], float(arrays[f"template{i}_bias"]))
                 for i in range(len(WINDOW_COLUMNS))
             )
-            scorer = _read_machine(arrays, "scorer", PATCH_CELLS**2 * PATCH_FEATURES, 1)
-            regressor = _read_machine(arrays, "regressor", PATCH_SIDE**2 * PATCH_FEATURES, 4)
+            scorer = _read_machine(arrays, "scorer", N_INNER_FEATURES, 1)
+            regressor = _read_machine(arrays, "regressor", N_ALL_FEATURES, 4)
         for template, columns in zip(templates, WINDOW_COLUMNS, strict=True):
             _require_shape(template.weights, (WINDOW_ROWS, columns, CELL_FEATURES))
     except Exception as error:

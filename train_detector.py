@@ -15,6 +15,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.linalg import block_diag
 from sklearn.decomposition import PCA
 from sklearn.kernel_approximation import Nystroem
 from sklearn.linear_model import Ridge
@@ -24,8 +25,8 @@ from sklearn.svm import LinearSVC
 from tqdm import tqdm
 
 from detector import (
-    COLOR,
     DEFAULT_SCAN,
+    N_BORDERS,
     PATCH_CELL,
     PATCH_CELLS,
     WINDOW_CELL,
@@ -37,16 +38,18 @@ from detector import (
     Template,
     all_cells,
     cell_features,
+    cut_out,
     inner_cells,
     level_groups,
+    margins_outside,
     move_edges,
+    on_whole_pixels,
     patch_features,
     propose,
     save_detector,
 )
 from evaluate import read_rows
 from files import VIDEO_SUFFIXES, find_images, read_image
-from pipeline_functions import convert_color
 from sample_data import in_parallel
 from tracks import box_areas, pairwise_iou, pairwise_overlap
 from training_images import read_window
@@ -60,8 +63,10 @@ _VEHICLE_IOU, _NOTHING_IOU = 0.6, 0.4
 _CROP_SIDE = PATCH_CELLS * PATCH_CELL
 # What is scored right by more than this teaches nothing new.
 _SURE = 0.5
-_N_CENTERS = 2000
-_N_COMPONENTS = 120
+# Components of patches and centers of kernels: what is a vehicle shows in more
+# details than where its edges are, but there are more places for edges.
+_SCORER_SIZE = 120, 2000
+_REGRESSOR_SIZE = 60, 3000
 
 
 @dataclass(frozen=True)
@@ -200,7 +205,7 @@ def read_footage(path, truth, frames="1:1000000"):
 
 
 def random_camera(example, rng):
-    """The frame as another camera might have taken it, in YCrCb, with its boxes.
+    """The frame as another camera might have taken it, with its boxes.
 
     Narrower, mirrored, smaller, blurred, of other exposure and colour,
     compressed: each with a chance of its own.
@@ -235,7 +240,7 @@ def random_camera(example, rng):
     boxes = np.clip(boxes, 0, (columns, rows, columns, rows))
     width, height = (boxes[:, 2:] - boxes[:, :2]).T
     required = required & (height >= _LOWEST) & (width > height / 3)
-    return convert_color(np.ascontiguousarray(img), COLOR), boxes, required
+    return np.ascontiguousarray(img), boxes, required
 
 
 def narrowed(img, boxes, required, share):
@@ -278,7 +283,7 @@ def random_crop(path, rng):
     Returns
     -------
     img : ndarray of uint8, shape (_CROP_SIDE, _CROP_SIDE, 3)
-        YCrCb.
+        RGB.
     """
     img, _ = read_window(path, _CROP_SIDE)
     if rng.random() < 0.5:
@@ -288,7 +293,7 @@ def random_crop(path, rng):
         img = cv2.resize(img, (small, small), interpolation=cv2.INTER_AREA)
     size = _CROP_SIDE, _CROP_SIDE
     img = cv2.resize(random_exposure(img, rng), size, interpolation=cv2.INTER_LINEAR)
-    return convert_color(img, COLOR)
+    return img
 
 
 def jittered(boxes, spread, rng):
@@ -298,11 +303,18 @@ def jittered(boxes, spread, rng):
 
 
 def random_parts(boxes, rng):
-    """A part of each box, half to three quarters as wide and high."""
+    """A part of each box, a third to all of its width and height."""
     size = boxes[:, 2:] - boxes[:, :2]
-    part = size * rng.uniform(0.5, 0.75, size.shape)
+    part = size * rng.uniform(0.3, 1, size.shape)
     corner = boxes[:, :2] + (size - part) * rng.uniform(0, 1, size.shape)
     return np.hstack([corner, corner + part])
+
+
+def neighbours(boxes, rng):
+    """A place beside, above or below each box, where tracks that go astray end up."""
+    size = boxes[:, 2:] - boxes[:, :2]
+    aside = size * rng.uniform(-1.5, 1.5, size.shape)
+    return boxes + np.hstack([aside, aside])
 
 
 # --------------------------------------------------------------- first stage
@@ -348,18 +360,9 @@ def window_features(img, box, columns):
     x, y = (right - left) / columns, (bottom - top) / WINDOW_ROWS
     # One cell more on each side: gradients at a cut edge are those of nowhere.
     size = (columns + 2) * WINDOW_CELL, (WINDOW_ROWS + 2) * WINDOW_CELL
-    cut = cut_out(img, (left - x, top - y, right + x, bottom + y), size)
+    whole = np.rint([left - x, top - y, right + x, bottom + y]).astype(int).tolist()
+    cut = cut_out(img, whole, size)
     return cell_features(cut)[1:-1, 1:-1]
-
-
-def cut_out(img, box, size):
-    """A box of the frame, resized; outside of the frame its edge goes on."""
-    low, high = np.floor(box[:2]).astype(int), np.ceil(box[2:]).astype(int)
-    rows, columns = img.shape[:2]
-    inside = img[max(0, low[1]) : high[1], max(0, low[0]) : high[0]]
-    outside = [max(0, n) for n in (-low[1], high[1] - rows, -low[0], high[0] - columns)]
-    cut = cv2.copyMakeBorder(inside, *outside, cv2.BORDER_REPLICATE)
-    return cv2.resize(cut, size, interpolation=cv2.INTER_AREA)
 
 
 def crop_windows(training_set, rng):
@@ -441,7 +444,7 @@ def mined_windows(item, templates):
     """What the first stage takes for vehicles in a frame and is nothing, as `frame_windows`."""
     example, rng = item
     img, boxes, _ = random_camera(example, rng)
-    scan = ScanParams(cells_per_step=1, n_groups=1, n_proposals=3, overlap=0.6)
+    scan = ScanParams(cells_per_step=1, n_groups=1, n_proposals=3, n_entering=0, overlap=0.6)
     windows, _ = propose(img, level_groups(img.shape[:2], scan)[0], templates, scan)
     samples = []
     for window in windows[is_nothing(windows, boxes, 0.35, 0.6)]:
@@ -489,12 +492,14 @@ def candidates(img, boxes, required, templates, rng):
     -------
     windows : ndarray of float, shape (n, 4)
     """
-    scan = ScanParams(threshold=-1.0, cells_per_step=1, n_groups=1, n_proposals=4, overlap=0.6)
+    scan = ScanParams(
+        threshold=-1.0, cells_per_step=1, n_groups=1, n_proposals=4, n_entering=0, overlap=0.6
+    )
     windows, _ = propose(img, level_groups(img.shape[:2], scan)[0], templates, scan)
     vehicles = boxes[required]
     moved = [jittered(vehicles, spread, rng) for spread in (0.04, 0.1, 0.1)]
     parts = [random_parts(vehicles, rng) for _ in range(2)]
-    windows = np.concatenate([windows, *moved, *parts])
+    windows = np.concatenate([windows, *moved, *parts, neighbours(vehicles, rng)])
     clear = is_nothing(windows, boxes[~required], 0.3, 0.5)
     return windows[clear | (best_iou(windows, vehicles) > 0.5)]
 
@@ -522,12 +527,12 @@ def edge_samples(item, templates):
     img, boxes, required = random_camera(example, rng)
     vehicles = boxes[required]
     windows = candidates(img, boxes, required, templates, rng)
-    windows = windows[best_iou(windows, vehicles) > _NOTHING_IOU]
+    windows = on_whole_pixels(windows[best_iou(windows, vehicles) > _NOTHING_IOU])
     own = np.empty((0, 4))
     if len(windows):
         own = vehicles[pairwise_iou(windows, vehicles).argmax(axis=1)]
     size = np.tile(windows[:, 2:] - windows[:, :2], 2)
-    features = all_cells(patch_features(img, windows))
+    features = all_cells(patch_features(img, windows), margins_outside(windows, img.shape))
     return features.astype(np.float16), (own - windows) / size
 
 
@@ -540,19 +545,23 @@ def train_regressor(examples, templates, seed, jobs):
     return fit_regressor(features, shifts, np.random.default_rng([seed, 5]))
 
 
-def fit_components(features, rng):
-    """Scaling and principal components; as an affine map, float32."""
-    if len(features) < _N_COMPONENTS:
+def fit_components(features, n_components, rng):
+    """Scaling and principal components of cells, borders apart; as an affine map, float32."""
+    if len(features) < n_components:
         raise ValueError(f"only {len(features)} patches to learn from: give more footage")
     chosen = rng.permutation(len(features))[:15_000]
     scaler = StandardScaler()
     # Cells that are nearly always empty would weigh most if they were scaled up.
-    some = scaler.fit_transform(features[chosen].astype(np.float32))
+    some = scaler.fit_transform(features[chosen, :-N_BORDERS].astype(np.float32))
     scale = np.maximum(scaler.scale_, 0.01)
     some *= scaler.scale_ / scale
-    pca = PCA(_N_COMPONENTS, svd_solver="randomized", random_state=0).fit(some)
+    pca = PCA(n_components, svd_solver="randomized", random_state=0).fit(some)
     projection = pca.components_ / scale
     offset = -(projection @ scaler.mean_) - pca.components_ @ pca.mean_
+    # A margin outside of the frame is as far from one inside as one patch from another.
+    border = np.sqrt(2 * pca.explained_variance_.sum()) * np.eye(N_BORDERS)
+    projection = block_diag(projection, border)
+    offset = np.concatenate([offset, np.zeros(N_BORDERS)])
     return projection.astype(np.float32), offset.astype(np.float32)
 
 
@@ -562,7 +571,7 @@ def apply_components(features, projection, offset, n_rows=5000):
     return np.concatenate([part.astype(np.float32) @ projection.T + offset for part in parts])
 
 
-def fit_kernel(features, rng):
+def fit_kernel(features, n_components, n_centers, rng):
     """Components of all samples, some of them as centers, and a width that suits them.
 
     Returns
@@ -571,20 +580,21 @@ def fit_kernel(features, rng):
     gamma : float
         One by the sum of the variances, scikit-learn's "scale".
     """
-    projection, offset = fit_components(features, rng)
+    projection, offset = fit_components(features, n_components, rng)
     components = apply_components(features, projection, offset)
-    gamma = float(1 / (components.shape[1] * components.var()))
-    centers = components[rng.permutation(len(components))[:_N_CENTERS]]
+    gamma = float(1 / components[:, :n_components].var(axis=0).sum())
+    centers = components[rng.permutation(len(components))[:n_centers]]
     return projection, offset, components, centers, gamma
 
 
-def fit_regressor(features, shifts, rng, alpha=0.1):
+def fit_regressor(features, shifts, rng, alpha=1.0):
     """Ridge regression on Gaussians around some of the samples."""
-    projection, offset, components, centers, gamma = fit_kernel(features, rng)
+    projection, offset, components, centers, gamma = fit_kernel(features, *_REGRESSOR_SIZE, rng)
     ridge = Ridge(alpha=alpha, solver="cholesky").fit(
         rbf_kernel(components.astype(float), centers.astype(float), gamma), shifts
     )
-    weights = ridge.coef_.astype(np.float32)
+    # One row after the other, as they are multiplied.
+    weights = ridge.coef_.astype(np.float32, order="C")
     bias = ridge.intercept_.astype(np.float32)
     return KernelMachine(projection, offset, centers, weights, bias, gamma)
 
@@ -607,14 +617,16 @@ def patch_samples(item, templates, regressor, scorer=None):
     """
     example, rng = item
     img, boxes, required = random_camera(example, rng)
-    windows = candidates(img, boxes, required, templates, rng)
-    shifts = regressor.predict(all_cells(patch_features(img, windows)))
-    windows = move_edges(windows, shifts)
+    windows = on_whole_pixels(candidates(img, boxes, required, templates, rng))
+    outside = margins_outside(windows, img.shape)
+    shifts = regressor.predict(all_cells(patch_features(img, windows), outside))
+    windows = on_whole_pixels(move_edges(windows, shifts))
     iou = best_iou(windows, boxes[required])
     # A part of a vehicle is none, or it would be found beside the whole.
     nothing = (iou < _NOTHING_IOU) & is_nothing(windows, boxes[~required], 0.3, 0.5)
     clear = (iou > _VEHICLE_IOU) | nothing
-    features = inner_cells(patch_features(img, windows[clear]))
+    windows = windows[clear]
+    features = inner_cells(patch_features(img, windows), margins_outside(windows, img.shape))
     labels = (iou[clear] > _VEHICLE_IOU).astype(int)
     if scorer is not None:
         hard = scorer.predict(features)[:, 0] * (2 * labels - 1) < _SURE
@@ -623,13 +635,39 @@ def patch_samples(item, templates, regressor, scorer=None):
 
 
 def crop_patches(training_set, rng):
-    """Yield patches of the training set's images, as `patch_samples`."""
-    whole = np.array([[0.0, 0.0, _CROP_SIDE, _CROP_SIDE]])
+    """Yield patches of the training set's images, as `patch_samples`.
+
+    Each is taken whole, as if it were cut by the frame's border, and, of
+    vehicles, in parts that are none.
+    """
+    whole = np.array([0.0, 0.0, _CROP_SIDE, _CROP_SIDE])
     labeled = [(path, 1) for path in 2 * (training_set.crops + training_set.square_crops)]
     labeled += [(path, 0) for path in training_set.non_vehicles]
     for path, label in tqdm(labeled, "crops", unit="image"):
-        features = inner_cells(patch_features(random_crop(path, rng), whole))
-        yield features.astype(np.float16), np.array([label])
+        cut, outside = cut_by_border(whole, rng)
+        parts = random_parts(np.tile(whole, (2 * label, 1)), rng)
+        parts = parts[best_iou(parts, whole[None]) < _NOTHING_IOU]
+        boxes = np.concatenate([[whole, cut], parts])
+        all_outside = np.zeros((len(boxes), N_BORDERS))
+        all_outside[1] = outside
+        features = inner_cells(patch_features(random_crop(path, rng), boxes), all_outside)
+        yield features.astype(np.float16), np.array([label, label, *np.zeros(len(parts), int)])
+
+
+def cut_by_border(box, rng):
+    """What is left of a box where the frame's left or right border cuts it.
+
+    Returns
+    -------
+    box : ndarray of float, shape (4,)
+    outside : ndarray of float, shape (N_BORDERS,)
+        See `detector.margins_outside`.
+    """
+    side = rng.choice([0, 2])
+    box, outside = box.copy(), np.zeros(N_BORDERS)
+    box[side] += rng.uniform(0, 0.55) * (box[2 - side] - box[side])
+    outside[side] = 1
+    return box, outside
 
 
 def train_scorer(training_set, templates, regressor, seed, jobs, rounds=1):
@@ -657,7 +695,7 @@ def fit_scorer(features, labels, rng, C=1.0):
            Kernel Machines", NIPS 2000.
     """
     print(f"patches: {len(labels)}, {labels.mean():.0%} vehicles")
-    projection, offset, components, centers, gamma = fit_kernel(features, rng)
+    projection, offset, components, centers, gamma = fit_kernel(features, *_SCORER_SIZE, rng)
     nystroem = Nystroem(gamma=gamma, n_components=len(centers), random_state=0).fit(centers)
     mapped = nystroem.transform(components).astype(np.float32)
     svm = LinearSVC(C=C, dual=False, class_weight="balanced", max_iter=200).fit(mapped, labels)

@@ -1,6 +1,6 @@
 """The two-stage detector with a memory: frames in, vehicles out.
 
-proposals and known vehicles -> a closer look -> tracks -> vehicles
+proposals and known vehicles -> a closer look -> the road -> tracks -> vehicles
 """
 
 from collections import deque
@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 
 from detector import (
-    COLOR,
     DEFAULT_SCAN,
     ScanParams,
     are_plausible,
@@ -19,10 +18,12 @@ from detector import (
     level_groups,
     load_detector,
     look_closer,
+    margins_outside,
+    near_horizon,
     propose,
-    stand_on_road,
 )
-from pipeline_functions import convert_color, draw_boxes, draw_vehicles
+from pipeline_functions import draw_boxes, draw_vehicles
+from road import fit_road, lowness, stand_on_road
 from tracks import Tracker, TrackParams, pairwise_iou
 from viewer import Viewer
 
@@ -38,11 +39,11 @@ STILL_TRACKS = TrackParams(birth=0.5)
 # A proposal that overlaps a known vehicle this much shows nothing else.
 _SAME_IOU = 0.6
 # Where two boxes are rivals, the one that goes on with a track is believed more.
-_TRUST_IN_TRACKS = 0.3
-# Height of a camera behind the windscreen by that of a car. Only vehicles
-# tell where the horizon is, and they do so from some fifty boxes on.
-_CAMERA_TO_CAR = 0.8
-_ENOUGH_HORIZONS, _MOST_HORIZONS = 50, 500
+_TRUST_IN_TRACKS = 0.5
+# Only vehicles tell where the road is, and they do so from some fifty boxes on.
+_ENOUGH_SEEN, _MOST_SEEN = 50, 500
+# What a box's score loses for being lower than a car where it stands.
+_COST_OF_LOWNESS = 3
 
 
 @dataclass(frozen=True)
@@ -58,10 +59,11 @@ class Detections:
         proposals that are not near one; without what is implausible or part of
         a better one.
     candidate_scores, candidate_evidence : ndarray of float, shape (m,)
-        Decision function of each; evidence of the track it belongs to, 0 for none.
+        Decision function of each, less what it costs to be lower than a car where
+        it stands; evidence of the track it belongs to, 0 for none.
     boxes : ndarray of int, shape (k, 4)
     scores : ndarray of float, shape (k,)
-        Decision function; 0 for a vehicle that has no box in this frame, and is
+        As of the candidates; 0 for a vehicle that has no box in this frame, and is
         shown where it is expected.
     ids : ndarray of int, shape (k,)
         Identity of each vehicle, from 1, the same in every frame.
@@ -118,8 +120,8 @@ class Vehicle(Viewer):
         """Forget all frames: the next one begins another video."""
         super().reset()
         self._tracker = Tracker(self.track_params)
-        # Where vehicles of late say that the road vanishes.
-        self._horizons = deque(maxlen=_MOST_HORIZONS)
+        # Boxes of late: they tell where the road is.
+        self._seen = deque(maxlen=_MOST_SEEN)
 
     def detect(self, rgb_frame):
         """Search the next frame of the video.
@@ -138,32 +140,37 @@ class Vehicle(Viewer):
             The frame is of another size than the one before, or too small.
         """
         self._require_same_size(rgb_frame)
-        img = convert_color(rgb_frame, COLOR)
-        proposals = self._propose(img)
+        road = fit_road(np.array(self._seen)) if len(self._seen) > _ENOUGH_SEEN else None
+        proposals = self._propose(rgb_frame, road)
         self._n_frames += 1
-        rows, columns = img.shape[:2]
+        rows, columns = rgb_frame.shape[:2]
         # Truth ends where the frame ends, and so does what was learned from it.
         expected = np.clip(self._tracker.predict(), 0, (columns, rows, columns, rows))
-        expected = expected[are_plausible(expected, img.shape, self.scan)]
+        expected = expected[are_plausible(expected, rgb_frame.shape, self.scan)]
         fresh = pairwise_iou(proposals, expected).max(axis=1, initial=0) < _SAME_IOU
         looked_at = np.concatenate([expected, proposals[fresh]])
-        boxes, scores = look_closer(img, looked_at, self.detector)
+        boxes, scores = look_closer(rgb_frame, looked_at, self.detector)
+        plausible = are_plausible(boxes, rgb_frame.shape, self.scan)
+        if road is not None:
+            plausible &= stand_on_road(boxes, road)
+            # What the border cuts may be the low end of a vehicle.
+            whole = 1 - margins_outside(boxes, rgb_frame.shape)[:, [0, 2]].max(axis=1)
+            scores = scores - _COST_OF_LOWNESS * whole * lowness(boxes, road, rows)
         trusted = scores + _TRUST_IN_TRACKS * (np.arange(len(boxes)) < len(expected))
-        plausible = are_plausible(boxes, img.shape, self.scan)
-        if len(self._horizons) > _ENOUGH_HORIZONS:
-            plausible &= stand_on_road(boxes, np.median(self._horizons))
         plausible = np.flatnonzero(plausible)
         kept = plausible[keep_wholes(boxes[plausible], trusted[plausible])]
         return self._follow(proposals, boxes[kept], scores[kept])
 
-    def _propose(self, img):
+    def _propose(self, rgb_frame, road):
         """Proposals of a group of levels, of all of them in the first frame."""
         scan = self.scan
         if self._n_frames == 0:
             scan = replace(scan, n_groups=1)
-        groups = level_groups(img.shape[:2], scan)
+        if road is not None:
+            scan = near_horizon(scan, road.horizon / len(rgb_frame))
+        groups = level_groups(rgb_frame.shape[:2], scan)
         levels = groups[self._n_frames % len(groups)]
-        return propose(img, levels, self.detector.templates, scan)[0]
+        return propose(rgb_frame, levels, self.detector.templates, scan)[0]
 
     def _follow(self, proposals, candidates, scores):
         """Hand the candidates of a frame to the tracks; vehicles are those with evidence."""
@@ -176,7 +183,7 @@ class Vehicle(Viewer):
         vehicle_scores = np.concatenate([scores[shown], np.zeros(len(bridged))])
         rows, columns = self._frame_shape[:2]
         boxes = np.array([track.box for track in vehicles]).reshape(-1, 4)
-        self._horizons.extend(seen[:, 3] - _CAMERA_TO_CAR * (seen[:, 3] - seen[:, 1]))
+        self._seen.extend(seen)
         boxes = np.clip(np.rint(boxes), 0, (columns, rows, columns, rows)).astype(int)
         ids = np.array([track.identity for track in vehicles], int)
         return Detections(proposals, candidates, scores, evidence, boxes, vehicle_scores, ids)

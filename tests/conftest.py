@@ -11,9 +11,8 @@ from sklearn.svm import SVC, LinearSVC
 from classifier import Classifier
 from detector import (
     CELL_FEATURES,
-    PATCH_CELLS,
-    PATCH_FEATURES,
-    PATCH_MARGIN,
+    N_ALL_FEATURES,
+    N_INNER_FEATURES,
     WINDOW_COLUMNS,
     WINDOW_ROWS,
     Detector,
@@ -65,22 +64,23 @@ def random_detector(seed):
     """A two-stage detector with random weights, whose scores lie on both sides of zero."""
     rng = np.random.default_rng(seed)
 
-    def machine(n_cells, n_outputs, size):
-        arrays = [
+    def machine(n_features, n_outputs, size):
+        projection, offset, centers, weights, bias = (
             rng.normal(0, scale, shape).astype(np.float32)
             for scale, shape in (
-                (0.05, (20, n_cells * PATCH_FEATURES)),
+                (0.05, (20, n_features)),
                 (0.1, 20),
                 (0.5, (30, 20)),
                 (size, (n_outputs, 30)),
                 (0.01, n_outputs),
             )
-        ]
-        return KernelMachine(*arrays, gamma=0.1)
+        )
+        # What all patches have in common adds nothing.
+        weights -= weights.mean(axis=1, keepdims=True)
+        return KernelMachine(projection, offset, centers, weights, bias, gamma=0.1)
 
     templates = tuple(
         Template(rng.normal(0, 0.05, (WINDOW_ROWS, columns, CELL_FEATURES)).astype(np.float32), 0.0)
         for columns in WINDOW_COLUMNS
     )
-    whole = (PATCH_CELLS + 2 * PATCH_MARGIN) ** 2
-    return Detector(templates, machine(PATCH_CELLS**2, 1, 1.0), machine(whole, 4, 0.02))
+    return Detector(templates, machine(N_INNER_FEATURES, 1, 1.0), machine(N_ALL_FEATURES, 4, 0.02))

@@ -13,29 +13,37 @@ from sklearn.metrics.pairwise import rbf_kernel
 from conftest import random_detector, textured_image
 from detector import (
     CELL_FEATURES,
+    COLOR,
     FORMAT_VERSION,
+    N_ALL_FEATURES,
+    N_BORDERS,
+    N_INNER_FEATURES,
     ORIENTATIONS,
     PATCH_CELL,
     PATCH_CELLS,
     PATCH_MARGIN,
+    PATCH_SIDE,
     WINDOW_CELL,
     WINDOW_ROWS,
     KernelMachine,
     ScanParams,
     Template,
+    all_cells,
     are_plausible,
     cell_features,
-    cut_patch,
+    cut_out,
     inner_cells,
     keep_wholes,
     level_groups,
     load_detector,
     look_closer,
+    margins_outside,
     move_edges,
+    near_horizon,
+    on_whole_pixels,
     patch_features,
     propose,
     save_detector,
-    stand_on_road,
     suppress,
     window_scores,
 )
@@ -43,7 +51,6 @@ from pipeline_functions import convert_color
 from tracks import pairwise_iou
 
 SIDE = PATCH_CELLS * PATCH_CELL
-MARGIN = PATCH_MARGIN * PATCH_CELL
 
 
 def random_boxes(rng, count, extent=200):
@@ -90,6 +97,7 @@ def test_a_frame_too_small_for_any_window_is_refused():
         {"n_groups": 0},
         {"cells_per_step": 0},
         {"n_proposals": 0},
+        {"n_entering": -1},
         {"overlap": 1},
     ],
 )
@@ -101,6 +109,7 @@ def test_scan_params_refuse(wrong):
 def test_cells_hold_hog_and_mean_colour():
     img = textured_image(3, 46, 61)
     features = cell_features(img)
+    img = convert_color(img, COLOR)
     assert features.shape == (11, 15, CELL_FEATURES)
     expected = hog(
         img[..., 0], ORIENTATIONS, (WINDOW_CELL, WINDOW_CELL), (1, 1), "L2-Hys",
@@ -136,12 +145,12 @@ def test_window_scores_are_products_at_every_place(rows, columns, width, step, s
 
 
 def test_a_window_is_proposed_where_its_pixels_are():
-    frame = np.full((360, 640, 3), 90, np.uint8)
-    frame[170:202, 300:344] = textured_image(5, 32, 44)
-    img = convert_color(frame, "YCrCb")
+    img = np.full((360, 640, 3), 90, np.uint8)
+    img[170:202, 300:344] = textured_image(5, 32, 44)
     scan = ScanParams(
-        smallest=64, largest=64, cells_per_step=1, n_groups=1, threshold=-np.inf, n_proposals=1
-    )
+        smallest=64, largest=64, cells_per_step=1, n_groups=1, threshold=-np.inf, n_proposals=1,
+        n_entering=0,
+    )  # fmt: skip
     ((level,),) = level_groups(img.shape, scan)
     strip = cv2.resize(img[level.top : level.bottom], (level.columns, level.rows))
     assert (level.rows, level.columns) == (level.bottom - level.top, 640)
@@ -151,6 +160,37 @@ def test_a_window_is_proposed_where_its_pixels_are():
     template = Template(wanted - level_cells.mean(axis=(0, 1)), 0.0)
     (box,), _ = propose(img, [level], (template,), scan)
     np.testing.assert_allclose(box, (300, 170, 344, 202), atol=WINDOW_CELL)
+
+
+@pytest.mark.parametrize(
+    "seen, expected",
+    [(0.5, (0.45, 0.55)), (0.508, (0.45, 0.55)), (0.511, (0.47, 0.57)), (0.1, (0.4, 0.45)),
+     (0.9, (0.55, 0.6))],
+)  # fmt: skip
+def test_the_horizon_is_narrowed_down_within_what_was_asked_for(seen, expected):
+    scan = ScanParams(horizon=(0.4, 0.6), ratio=1.3)
+    near = near_horizon(scan, seen)
+    assert near.horizon == pytest.approx(expected)
+    assert replace(near, horizon=scan.horizon) == scan
+
+
+@settings(max_examples=20, deadline=None)
+@given(n_proposals=st.integers(1, 4), n_entering=st.integers(0, 3), seed=st.integers(0, 1000))
+def test_proposals_at_the_sides_are_added_to_the_best(n_proposals, n_entering, seed):
+    img, templates = textured_image(seed, 90, 400), random_detector(seed).templates
+    scan = ScanParams(
+        smallest=150, largest=150, horizon=(0.1, 0.2), cells_per_step=1, n_groups=1,
+        threshold=-np.inf, n_proposals=300, n_entering=0,
+    )  # fmt: skip
+    ((level,),) = level_groups(img.shape, scan)
+    every, _ = propose(img, [level], templates, scan)
+    scan = replace(scan, n_proposals=n_proposals, n_entering=n_entering)
+    boxes, scores = propose(img, [level], templates, scan)
+    cell = WINDOW_CELL * 400 / level.columns
+    at_side = (every[:, 0] < 1.5 * cell) | (every[:, 2] > 400 - 1.5 * cell)
+    entering = [i for i in range(n_proposals, len(every)) if at_side[i]][:n_entering]
+    np.testing.assert_allclose(boxes, every[[*range(min(n_proposals, len(every))), *entering]])
+    assert (np.diff(scores) <= 0).all()
 
 
 @settings(max_examples=50, deadline=None)
@@ -168,48 +208,69 @@ def test_suppression_is_greedy(count, overlap, seed):
 # -------------------------------------------------------------- closer look
 
 
-def test_a_patch_is_the_box_and_its_margin():
-    img = textured_image(1, 200, 300)
-    whole = cut_patch(img, (50, 40, 50 + SIDE, 40 + SIDE))
-    expected = img[40 - MARGIN : 40 + SIDE + MARGIN, 50 - MARGIN : 50 + SIDE + MARGIN]
-    np.testing.assert_array_equal(whole, expected)
-    wide = cut_patch(img, (20, 10, 20 + 3 * SIDE, 10 + 2 * SIDE))
-    # Every third pixel is the middle one of three, every second lies between two.
-    left, top = 20 - 3 * MARGIN, 10 - 2 * MARGIN
-    inside = np.s_[-top // 2 + 1 :, -left // 3 + 1 :]
-    x = left + 3 * np.arange(SIDE + 2 * MARGIN) + 1
-    y = top + 2 * np.arange(SIDE + 2 * MARGIN)
-    x, y = x[inside[1]], y[inside[0]]
-    y = y[y < 199]
-    expected = (img[y][:, x].astype(float) + img[y + 1][:, x]) / 2
-    np.testing.assert_allclose(wide[inside][: len(y)], expected, atol=1)
+@settings(max_examples=60, deadline=None)
+@given(
+    left=st.integers(-90, 90),
+    top=st.integers(-90, 90),
+    width=st.integers(1, 70),
+    height=st.integers(1, 70),
+)
+def test_outside_of_the_frame_its_edge_goes_on(left, top, width, height):
+    img = textured_image(1, 40, 60)
+    rows = np.clip(np.arange(top, top + height), 0, 39)
+    columns = np.clip(np.arange(left, left + width), 0, 59)
+    cut = cut_out(img, (left, top, left + width, top + height), (width, height))
+    np.testing.assert_array_equal(cut, img[rows][:, columns])
+    small = cut_out(img, (left, top, left + width, top + height), (9, 7))
+    expected = cv2.resize(img[rows][:, columns], (9, 7), interpolation=cv2.INTER_LINEAR)
+    np.testing.assert_array_equal(small, expected)
 
 
-def test_outside_of_the_frame_its_edge_goes_on():
-    img = textured_image(1, 100, 100)
-    patch = cut_patch(img, (80, 20, 80 + SIDE, 20 + SIDE))
-    assert (patch[:, 30:] == patch[:, 29:30]).all()
+@settings(max_examples=60, deadline=None)
+@given(count=st.integers(0, 6), seed=st.integers(0, 10_000))
+def test_boxes_on_whole_pixels_stay_where_they_are(count, seed):
+    boxes = random_boxes(np.random.default_rng(seed), count)
+    whole = on_whole_pixels(boxes)
+    assert np.abs(whole - boxes).max(initial=0) < 1
+    margins = np.tile(whole[:, 2:] - whole[:, :2], 2) * PATCH_MARGIN / PATCH_CELLS
+    ends = whole + margins * (-1, -1, 1, 1)
+    np.testing.assert_allclose(ends, ends.round(), atol=1e-9)
+    np.testing.assert_allclose(on_whole_pixels(whole), whole, atol=1e-9)
 
 
 def test_patches_hold_hog_and_mean_colour():
     img = textured_image(2, 240, 320)
-    boxes = np.array([(30.0, 40, 30 + SIDE, 40 + SIDE), (100.5, 60.2, 230, 170)])
+    boxes = on_whole_pixels(np.array([(30.0, 40, 30 + SIDE, 40 + SIDE), (100.5, 60.2, 330, 170)]))
     features = patch_features(img, boxes)
+    assert features.shape == (2, 3, PATCH_SIDE, PATCH_SIDE, ORIENTATIONS + 1)
     for box, own in zip(boxes, features, strict=True):
-        patch = cut_patch(img, box)
-        for channel in range(3):
+        margin = np.tile(box[2:] - box[:2], 2) / PATCH_CELLS * (-1, -1, 1, 1)
+        size = PATCH_SIDE * PATCH_CELL, PATCH_SIDE * PATCH_CELL
+        patch = convert_color(cut_out(img, (box + margin).round().astype(int), size), COLOR)
+        for channel, own_channel in zip(cv2.split(patch), own, strict=True):
             expected = hog(
-                patch[..., channel], ORIENTATIONS, (PATCH_CELL, PATCH_CELL), (1, 1), "L2-Hys",
+                channel, ORIENTATIONS, (PATCH_CELL, PATCH_CELL), (1, 1), "L2-Hys",
                 transform_sqrt=True, feature_vector=False,
             )[:, :, 0, 0]  # fmt: skip
-            part = own[..., channel * ORIENTATIONS : (channel + 1) * ORIENTATIONS]
-            np.testing.assert_allclose(part, expected, atol=1e-5)
-        cell = patch[8:16, 16:24].mean(axis=(0, 1)) / 255
-        np.testing.assert_allclose(own[1, 2, 3 * ORIENTATIONS :], cell, atol=0.003)
-    np.testing.assert_array_equal(
-        inner_cells(features), features[:, 1:-1, 1:-1].reshape(len(boxes), -1)
-    )
+            np.testing.assert_allclose(own_channel[..., :ORIENTATIONS], expected, atol=1e-5)
+            mean = channel[8:16, 16:24].mean() / 255
+            assert own_channel[1, 2, ORIENTATIONS] == pytest.approx(mean, abs=0.003)
     assert patch_features(img, boxes[:0]).shape == (0, *features.shape[1:])
+    outside = np.arange(2 * N_BORDERS, dtype=np.float32).reshape(2, N_BORDERS)
+    inner = features[:, :, 1:-1, 1:-1].reshape(2, N_INNER_FEATURES - N_BORDERS)
+    np.testing.assert_array_equal(inner_cells(features, outside), np.hstack([inner, outside]))
+    every = features.reshape(2, N_ALL_FEATURES - N_BORDERS)
+    np.testing.assert_array_equal(all_cells(features, outside), np.hstack([every, outside]))
+
+
+def test_margins_outside_are_shares_of_a_cell():
+    # Boxes of 80 x 40, so margins of 10 x 5, in a frame of 200 x 100.
+    boxes = np.array(
+        [(0, 50, 80, 90), (7, 60, 87, 100), (116, 2, 196, 42), (-20, 20, 60, 60)], float
+    )
+    expected = [(1, 0, 0, 0), (0.3, 0, 0, 1), (0, 0.6, 0.6, 0), (1, 0, 0, 0)]
+    np.testing.assert_allclose(margins_outside(boxes, (100, 200, 3)), expected, atol=1e-6)
+    assert margins_outside(boxes[:0], (100, 200, 3)).shape == (0, N_BORDERS)
 
 
 @settings(max_examples=20, deadline=None)
@@ -238,14 +299,18 @@ def test_edges_move_by_shares_of_the_box():
 def test_the_closer_look_scores_where_it_moved_the_box():
     img = textured_image(4, 240, 320)
     detector = random_detector(0)
+
+    def described(box, cells):
+        return cells(patch_features(img, box[None]), margins_outside(box[None], img.shape))
+
     none, no_scores = look_closer(img, np.empty((0, 4)), detector)
     assert none.shape == (0, 4) and no_scores.shape == (0,)
     boxes = random_boxes(np.random.default_rng(0), 5)
     moved, scores = look_closer(img, boxes, detector)
-    for box, own_box, score in zip(boxes, moved, scores, strict=True):
-        shift = detector.regressor.predict(patch_features(img, box[None]).reshape(1, -1))
-        np.testing.assert_allclose(move_edges(box[None], shift)[0], own_box, atol=1e-3)
-        alone = detector.scorer.predict(inner_cells(patch_features(img, own_box[None])))
+    for box, own_box, score in zip(on_whole_pixels(boxes), moved, scores, strict=True):
+        shift = detector.regressor.predict(described(box, all_cells))
+        np.testing.assert_allclose(on_whole_pixels(move_edges(box[None], shift))[0], own_box)
+        alone = detector.scorer.predict(described(own_box, inner_cells))
         assert score == pytest.approx(alone[0, 0], abs=1e-4)
 
 
@@ -286,15 +351,6 @@ def test_plausible_boxes_frame_a_vehicle():
     assert plausible.tolist() == [True, False, False, False, False, False, True]
     half = are_plausible(boxes / 2, (360, 640, 3), ScanParams(smallest=32, largest=400))
     np.testing.assert_array_equal(plausible, half)
-
-
-def test_a_sign_above_the_horizon_stands_on_no_road():
-    # A car, a lorry, a sign, and a bridge of which the horizon is at the bottom.
-    boxes = np.array(
-        [(0, 390, 60, 440), (0, 320, 60, 420), (0, 300, 60, 410), (0, 300, 99, 400)], float
-    )
-    assert stand_on_road(boxes, 400.0).tolist() == [True, False, False, False]
-    assert stand_on_road(boxes, 390.0).tolist() == [True, True, False, False]
 
 
 # ---------------------------------------------------------------------- file

@@ -19,7 +19,7 @@ EAGER = TrackParams(birth=0.2, most_evidence=2.0, miss_cost=0.7)
 @pytest.fixture
 def path(tmp_path):
     """Parameter file of a detector with random weights."""
-    save_detector(random_detector(0), tmp_path / "detector.npz")
+    save_detector(random_detector(3), tmp_path / "detector.npz")
     return tmp_path / "detector.npz"
 
 
@@ -78,15 +78,29 @@ def test_reset_forgets(path):
         np.testing.assert_array_equal(one.ids, other.ids)
 
 
-def test_where_vehicles_put_the_horizon_nothing_hangs_above_it(path):
-    vehicle = Vehicle(None, path, STILL_SCAN, EAGER)
+def test_known_vehicles_tell_where_others_may_stand(path, monkeypatch):
+    # A car, the lower half of one, and a sign, all scored alike.
+    boxes = np.array([(20, 52, 76, 92), (120, 72, 150, 92), (220, 20, 260, 50)], float)
+    searched = []
+
+    def propose(_, levels, *__):
+        searched.append(sum(level.rows * level.columns for level in levels))
+        return boxes, None
+
+    monkeypatch.setattr("vehicle.propose", propose)
+    monkeypatch.setattr("vehicle.look_closer", lambda _, found, __: (found, np.full(3, 3.0)))
+    vehicle = Vehicle(None, path, STILL_SCAN, TrackParams(birth=100, most_evidence=100))
     (frame,) = frames(1)
-    before = vehicle.detect(frame).candidates
-    vehicle._horizons.extend([120.0] * 60)
-    after = vehicle.detect(frame).candidates
-    height = before[:, 3] - before[:, 1]
-    assert (before[:, 3] - 120 <= 0.2 * height).any()
-    assert (after[:, 3] - 120 > 0.2 * (after[:, 3] - after[:, 1])).all() and len(after) > 0
+    before = vehicle.detect(frame)
+    np.testing.assert_array_equal(before.candidate_scores, [3, 3, 3])
+    vehicle.reset()
+    vehicle._seen.extend(60 * [boxes[0]])
+    after = vehicle.detect(frame)
+    # The road vanishes in row 60, and cars are as high as 5 / 4 of what they are below it.
+    np.testing.assert_array_equal(after.candidates, boxes[:2])
+    excess = (92 - 60 - 1.8) / 20 - 0.8 - 0.1
+    np.testing.assert_allclose(after.candidate_scores, [3, 3 - 3 * excess])
+    assert searched[1] < 0.9 * searched[0]
 
 
 def test_frames_of_two_sizes_are_refused(path):
