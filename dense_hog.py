@@ -88,7 +88,7 @@ def _cell_histograms(img, orientations, pix_per_cell):
     histograms = np.zeros((channels, cell_rows, columns // pix_per_cell, orientations), np.float32)
 
     def vote(first, last):
-        """Let the pixels of the cell rows first..last vote; those that are left out."""
+        """Let the pixels of the cell rows first..last vote; returns those that are left out."""
         unsettled = np.empty(((last - first) * pix_per_cell * columns * channels, 5))
         return unsettled[: _vote(img, pix_per_cell, first, last, histograms, unsettled)]
 

@@ -117,7 +117,7 @@ DEFAULT_SCAN = ScanParams()
 _HORIZON_MARGIN, _HORIZON_STEP = 0.05, 0.02
 
 
-def near_horizon(scan, horizon):
+def near_horizon(scan, horizon, camera_to_car):
     """The scan with its horizon narrowed down to where it is known to be.
 
     Parameters
@@ -125,6 +125,9 @@ def near_horizon(scan, horizon):
     scan : ScanParams
     horizon : float
         Share of the frame's height; the nearest within `scan.horizon` is taken.
+    camera_to_car : float
+        Height of the camera by that of a car. Vehicles reach farther below the
+        horizon than they are high if it is above 1: the lower end then stays.
 
     Returns
     -------
@@ -133,8 +136,9 @@ def near_horizon(scan, horizon):
     low, high = scan.horizon
     # In steps, for levels are laid out anew wherever it moves.
     middle = np.clip(round(horizon / _HORIZON_STEP) * _HORIZON_STEP, low, high)
-    margin = _HORIZON_MARGIN
-    return replace(scan, horizon=(max(low, middle - margin), min(high, middle + margin)))
+    if camera_to_car <= 1:
+        high = min(high, middle + _HORIZON_MARGIN)
+    return replace(scan, horizon=(max(low, middle - _HORIZON_MARGIN), high))
 
 
 @dataclass(frozen=True)
@@ -536,6 +540,8 @@ def move_edges(boxes, shifts):
 
 def look_closer(img, boxes, detector):
     """Move the edges of boxes to where they belong, and score them there.
+
+    What is hopeless where it was proposed stays there, with its score.
 
     Parameters
     ----------

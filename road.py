@@ -48,13 +48,13 @@ def fit_road(boxes):
     Parameters
     ----------
     boxes : ndarray of float, shape (n, 4)
-        Vehicles of some frames.
+        Cars of some frames; at least one, and all of some height.
 
     Returns
     -------
     road : Road
-        Its `camera_to_car` is at least the usual one: only parts of cars, taken
-        for whole ones, would say less.
+        Its `camera_to_car` is at least the usual one: what says less is mostly
+        parts of a car at one distance, taken for whole ones.
     """
     bottom, height = boxes[:, 3], boxes[:, 3] - boxes[:, 1]
     # Divided by their height, boxes of all sizes err alike.
@@ -74,7 +74,7 @@ def fit_road(boxes):
     return Road(float(horizon), float(camera_to_car))
 
 
-def stand_on_road(boxes, road):
+def stand_on_road(boxes, road, n_rows):
     """Which boxes could frame a vehicle that stands on the road.
 
     Lorries are up to four times as high as cars; signs and bridges have their
@@ -84,13 +84,15 @@ def stand_on_road(boxes, road):
     ----------
     boxes : ndarray of float, shape (n, 4)
     road : Road
+    n_rows : int
+        Of the frame.
 
     Returns
     -------
     standing : ndarray of bool, shape (n,)
     """
-    height = boxes[:, 3] - boxes[:, 1]
-    return boxes[:, 3] - road.horizon > road.camera_to_car / 4 * height
+    below = boxes[:, 3] - road.horizon + _BUMP * n_rows
+    return below > road.camera_to_car / 4 * (boxes[:, 3] - boxes[:, 1])
 
 
 def lowness(boxes, road, n_rows):

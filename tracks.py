@@ -37,7 +37,7 @@ class TrackParams:
         frames, and then no more.
     measurement_noise, process_noise : float
         Standard deviations as shares of a vehicle's height: of the edges of a
-        box whose score is 1, and of the change of their velocity from frame
+        box whose score is 1 or more, and of the change of their velocity from frame
         to frame.
     kept_velocity : float
         Share of its velocity that a vehicle keeps from frame to frame when it is

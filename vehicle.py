@@ -152,9 +152,9 @@ class Vehicle(Viewer):
         boxes, scores = look_closer(rgb_frame, looked_at, self.detector)
         plausible = are_plausible(boxes, rgb_frame.shape, self.scan)
         if road is not None:
-            plausible &= stand_on_road(boxes, road)
-            # What the border cuts may be the low end of a vehicle.
-            whole = 1 - margins_outside(boxes, rgb_frame.shape)[:, [0, 2]].max(axis=1)
+            plausible &= stand_on_road(boxes, road, rows)
+            # Of what the border cuts, only the bonnet may be in sight.
+            whole = 1 - margins_outside(boxes, rgb_frame.shape).max(axis=1)
             scores = scores - _COST_OF_LOWNESS * whole * lowness(boxes, road, rows)
         trusted = scores + _TRUST_IN_TRACKS * (np.arange(len(boxes)) < len(expected))
         plausible = np.flatnonzero(plausible)
@@ -167,7 +167,7 @@ class Vehicle(Viewer):
         if self._n_frames == 0:
             scan = replace(scan, n_groups=1)
         if road is not None:
-            scan = near_horizon(scan, road.horizon / len(rgb_frame))
+            scan = near_horizon(scan, road.horizon / len(rgb_frame), road.camera_to_car)
         groups = level_groups(rgb_frame.shape[:2], scan)
         levels = groups[self._n_frames % len(groups)]
         return propose(rgb_frame, levels, self.detector.templates, scan)[0]
@@ -183,7 +183,7 @@ class Vehicle(Viewer):
         vehicle_scores = np.concatenate([scores[shown], np.zeros(len(bridged))])
         rows, columns = self._frame_shape[:2]
         boxes = np.array([track.box for track in vehicles]).reshape(-1, 4)
-        self._seen.extend(seen)
+        self._seen.extend(seen[are_whole_cars(seen, self._frame_shape)])
         boxes = np.clip(np.rint(boxes), 0, (columns, rows, columns, rows)).astype(int)
         ids = np.array([track.identity for track in vehicles], int)
         return Detections(proposals, candidates, scores, evidence, boxes, vehicle_scores, ids)
@@ -210,6 +210,24 @@ class Vehicle(Viewer):
             draw_vehicles(rgb_frame, detections.boxes, detections.ids),
         ]
         return [self.undistort(picture) for picture in pictures]
+
+
+def are_whole_cars(boxes, frame_shape):
+    """Which vehicles tell where the road is: wider than high, and not cut by the border.
+
+    Lorries and vans, as high as wide or higher, would be taken for nearer cars.
+
+    Parameters
+    ----------
+    boxes : ndarray of float, shape (n, 4)
+    frame_shape : (rows, columns, ...)
+
+    Returns
+    -------
+    whole_cars : ndarray of bool, shape (n,)
+    """
+    width, height = (boxes[:, 2:] - boxes[:, :2]).T
+    return (width > 1.1 * height) & (margins_outside(boxes, frame_shape) < 1).all(axis=1)
 
 
 def draw_rated(img, boxes, values, threshold):

@@ -169,8 +169,10 @@ def test_a_window_is_proposed_where_its_pixels_are():
 )  # fmt: skip
 def test_the_horizon_is_narrowed_down_within_what_was_asked_for(seen, expected):
     scan = ScanParams(horizon=(0.4, 0.6), ratio=1.3)
-    near = near_horizon(scan, seen)
+    near = near_horizon(scan, seen, 0.8)
     assert near.horizon == pytest.approx(expected)
+    # Below a high camera, vehicles are farther below the horizon.
+    assert near_horizon(scan, seen, 1.3).horizon == pytest.approx((expected[0], 0.6))
     assert replace(near, horizon=scan.horizon) == scan
 
 

@@ -48,16 +48,18 @@ def test_a_sign_above_the_horizon_stands_on_no_road():
     boxes = np.array(
         [(0, 390, 60, 440), (0, 320, 60, 420), (0, 300, 60, 410), (0, 300, 99, 400)], float
     )
-    assert stand_on_road(boxes, Road(400.0, 0.8)).tolist() == [True, False, False, False]
-    assert stand_on_road(boxes, Road(390.0, 0.8)).tolist() == [True, True, False, False]
+    assert stand_on_road(boxes, Road(410.0, 0.8), 1000).tolist() == [True, False, False, False]
+    assert stand_on_road(boxes, Road(400.0, 0.8), 1000).tolist() == [True, True, False, False]
     # From twice as high up, the ground is twice as far below the horizon.
-    assert stand_on_road(boxes, Road(390.0, 1.6)).tolist() == [True, False, False, False]
+    assert stand_on_road(boxes, Road(400.0, 1.6), 1000).tolist() == [True, False, False, False]
+    # In larger pictures, bumps are larger.
+    assert stand_on_road(boxes, Road(410.0, 0.8), 2000).tolist() == [True, True, False, False]
 
 
 def test_half_a_car_is_too_low_where_it_stands():
     # A car, a lorry, a sports car, the lower half of a car, and one far ahead on a bump.
     boxes = np.array(
-        [(0, 410, 9, 510), (0, 210, 9, 510), (0, 430, 9, 510), (0, 460, 9, 510), (0, 418, 9, 448)],
+        [(0, 410, 9, 510), (0, 210, 9, 510), (0, 430, 9, 510), (0, 460, 9, 510), (0, 434, 9, 464)],
         float,
     )
     low = lowness(boxes, Road(430.0, 0.8), 1000)

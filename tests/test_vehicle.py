@@ -10,7 +10,7 @@ from detector import save_detector
 from evaluate import Rows, evaluate, read_rows
 from pipeline_functions import identity_color
 from tracks import TrackParams
-from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
+from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle, are_whole_cars
 from video import read_frames
 
 EAGER = TrackParams(birth=0.2, most_evidence=2.0, miss_cost=0.7)
@@ -101,6 +101,17 @@ def test_known_vehicles_tell_where_others_may_stand(path, monkeypatch):
     excess = (92 - 60 - 1.8) / 20 - 0.8 - 0.1
     np.testing.assert_allclose(after.candidate_scores, [3, 3 - 3 * excess])
     assert searched[1] < 0.9 * searched[0]
+
+
+def test_only_whole_cars_tell_where_the_road_is(path):
+    # A car, a lorry, a car cut by the right border, and one cut at the bottom.
+    boxes = [(100, 60, 160, 100), (20, 40, 60, 90), (280, 60, 320, 90), (180, 120, 270, 180)]
+    assert are_whole_cars(np.array(boxes, float), (180, 320, 3)).tolist() == [True, *3 * [False]]
+    vehicle = Vehicle(None, path)
+    vehicle.detect(textured_image(0, 180, 320))
+    vehicle._tracker.predict()
+    vehicle._follow(np.empty((0, 4)), np.array(boxes[:2], float), np.array([6.0, 6.0]))
+    np.testing.assert_allclose(vehicle._seen, boxes[:1])
 
 
 def test_frames_of_two_sizes_are_refused(path):
