@@ -316,6 +316,23 @@ def test_the_closer_look_scores_where_it_moved_the_box():
         assert score == pytest.approx(alone[0, 0], abs=1e-4)
 
 
+def test_what_is_hopeless_where_it_was_proposed_is_not_moved():
+    img, detector = textured_image(4, 240, 320), random_detector(0)
+    boxes = on_whole_pixels(random_boxes(np.random.default_rng(0), 9))
+    outside = margins_outside(boxes, img.shape)
+    own = detector.scorer.predict(inner_cells(patch_features(img, boxes), outside))[:, 0]
+    # So that the middle one is at the limit, and half of them are below it.
+    limited = detector.scorer.bias - np.float32(np.median(own) + 1)
+    detector = replace(detector, scorer=replace(detector.scorer, bias=limited))
+    hopeless = own < np.median(own)
+    moved, scores = look_closer(img, boxes, detector)
+    np.testing.assert_array_equal(moved[hopeless], boxes[hopeless])
+    np.testing.assert_allclose(scores[hopeless], own[hopeless] - np.median(own) - 1, atol=1e-4)
+    others = own > np.median(own)
+    assert others.sum() == hopeless.sum() == 4
+    assert (moved[others] != boxes[others]).any()
+
+
 @settings(max_examples=50, deadline=None)
 @given(count=st.integers(0, 12), seed=st.integers(0, 10_000))
 def test_of_rivals_the_better_one_is_kept(count, seed):
