@@ -120,7 +120,7 @@ class Vehicle(Viewer):
         """Forget all frames: the next one begins another video."""
         super().reset()
         self._tracker = Tracker(self.track_params)
-        # Boxes of late: they tell where the road is.
+        # Boxes of whole cars of late: they tell where the road is.
         self._seen = deque(maxlen=_MOST_SEEN)
 
     def detect(self, rgb_frame):
