@@ -303,7 +303,7 @@ def jittered(boxes, spread, rng):
 
 
 def random_parts(boxes, rng):
-    """A part of each box, a third to all of its width and height."""
+    """A part of each box, three tenths to all of its width and height."""
     size = boxes[:, 2:] - boxes[:, :2]
     part = size * rng.uniform(0.3, 1, size.shape)
     corner = boxes[:, :2] + (size - part) * rng.uniform(0, 1, size.shape)
@@ -311,7 +311,7 @@ def random_parts(boxes, rng):
 
 
 def neighbours(boxes, rng):
-    """A place beside, above or below each box, where tracks that go astray end up."""
+    """A place on or around each box, where tracks that go astray end up."""
     size = boxes[:, 2:] - boxes[:, :2]
     aside = size * rng.uniform(-1.5, 1.5, size.shape)
     return boxes + np.hstack([aside, aside])
