@@ -31,7 +31,8 @@ class TrackParams:
         widened on each side by this share of their width: what comes out first
         is one side of a vehicle.
     max_missed : int
-        Frames that a track outlives without a box.
+        Frames that a track outlives without a box. Those in which another
+        vehicle hides it count a fifth: overtaking can take long.
     max_bridged : int
         A vehicle without a box is shown where it is expected for so many
         frames, and then no more.
@@ -83,6 +84,10 @@ class TrackParams:
 # Boxes that come from heat have lasted already.
 HEAT_TRACKS = TrackParams()
 
+# A vehicle without a box is hidden if another covers this share of where it is
+# expected; what such a frame counts.
+_HIDDEN, _HIDDEN_COUNTS = 0.5, 0.2
+
 
 class Track:
     """One vehicle, or what may become one, over time.
@@ -96,6 +101,8 @@ class Track:
     evidence : float
     n_missed : int
         Frames since its last box.
+    absence : float
+        The same, but frames in which another vehicle hides it count a fifth.
     box : ndarray of float, shape (4,)
         Where it is, or is expected in this frame.
     """
@@ -105,6 +112,7 @@ class Track:
         self.is_shown = False
         self.evidence = 0.0
         self.n_missed = 0
+        self.absence = 0.0
         self.box = np.asarray(box, float)
         self._params = params
         height = box[3] - box[1]
@@ -134,6 +142,7 @@ class Track:
         they are left alone, and `box` stays what was expected.
         """
         self.n_missed = 0
+        self.absence = 0.0
         if score > 0:
             doubt = np.exp(max(0.0, 1 - score))
             self._filter.measurementNoiseCov = doubt * self._measurement_noise
@@ -142,8 +151,11 @@ class Track:
             self._slow_down()
         self._weigh(score)
 
-    def miss(self):
-        """There is no box in this frame."""
+    def miss(self, others):
+        """There is no box in this frame; `others`, shape (n, 4), are vehicles that have one."""
+        covered = pairwise_overlap(self.box[None], others).max(initial=0)
+        hidden = covered > _HIDDEN * box_areas(self.box[None])[0]
+        self.absence += _HIDDEN_COUNTS if hidden else 1.0
         self._slow_down()
         self._weigh(-self._params.miss_cost)
 
@@ -238,9 +250,11 @@ class Tracker:
             elif score > 0:
                 owners[i] = Track(box, float(score), self.params)
                 self._tracks.append(owners[i])
+        seen = [track.box for track in self._tracks if track.is_shown and not track.n_missed]
+        seen = np.array(seen).reshape(-1, 4)
         for track in self._tracks:
             if track.n_missed:
-                track.miss()
+                track.miss(seen)
             if track.is_shown and not track.identity:
                 self._n_identities += 1
                 track.identity = self._n_identities
@@ -286,5 +300,5 @@ class Tracker:
     def _is_kept(self, track):
         """What was a vehicle may come back for a while; what never was one must go on growing."""
         if track.identity:
-            return track.n_missed <= self.params.max_missed
+            return track.absence <= self.params.max_missed
         return track.evidence > 0

@@ -130,6 +130,26 @@ def test_a_vehicle_away_for_too_long_is_another():
     assert step(tracker, boxes(box_at(100))) == [2]
 
 
+@pytest.mark.parametrize(("n_frames", "identity"), [(45, 1), (60, 3)])
+def test_hidden_frames_count_a_fifth(n_frames, identity):
+    # A car draws level with one farther away, stays before it, and falls back again.
+    tracker = Tracker(TrackParams(max_missed=10, max_growth=1.4))
+    hidden, nearer = box_at(100), np.array([90, 80, 190, 160])
+    assert step(tracker, boxes(hidden, nearer)) == [1, 2]
+    for _ in range(n_frames):
+        assert step(tracker, boxes(nearer)) == [2]
+    assert step(tracker, boxes(nearer, hidden)) == [2, identity]
+
+
+def test_frames_count_whole_where_the_other_vehicle_is_beside():
+    tracker = Tracker(TrackParams(max_missed=10))
+    gone, beside = box_at(100), box_at(140)
+    assert step(tracker, boxes(gone, beside)) == [1, 2]
+    for _ in range(12):
+        assert step(tracker, boxes(beside)) == [2]
+    assert step(tracker, boxes(beside, gone)) == [2, 3]
+
+
 def test_a_box_elsewhere_is_another_vehicle():
     tracker = Tracker(TrackParams())
     step(tracker, boxes(box_at(100)))
