@@ -5,7 +5,8 @@ boxes -> predictions -> assignment -> correction -> identities
 Every vehicle has a Kalman filter of constant velocity. Its prediction is held
 against the boxes of the frame; what matches corrects it, boxes of low scores
 less than others, and what does not match begins a track of its own. A vehicle
-out of sight keeps its track, and so its identity, for a while, but is not shown.
+out of sight is expected where it was for a while, but not shown: what becomes a
+vehicle there has its identity.
 """
 
 from dataclasses import dataclass
@@ -25,7 +26,8 @@ class TrackParams:
         A box may be a track's only if it overlaps the prediction this much.
     max_growth : float
         A box that is more times as high as the prediction, or as many times
-        lower, is not the track's but that of what hides it.
+        lower, is not the track's but that of what hides it. The square of this
+        decides whether what becomes a vehicle where another was is that one.
     reach : float
         Where vehicles out of sight are looked for, boxes and predictions are
         widened on each side by this share of their width: what comes out first
@@ -255,9 +257,9 @@ class Tracker:
         for track in self._tracks:
             if track.n_missed:
                 track.miss(seen)
+        for track in list(self._tracks):
             if track.is_shown and not track.identity:
-                self._n_identities += 1
-                track.identity = self._n_identities
+                track.identity = self._identity_of(track)
         self._tracks = [track for track in self._tracks if self._is_kept(track)]
         return owners
 
@@ -271,30 +273,44 @@ class Tracker:
     def _assign(self, boxes):
         """Known track of every box or None.
 
-        Vehicles seen in the frame before choose first, then those out of
-        sight, then what is not yet a vehicle; among each, so that the overlap
-        of all together is largest.
+        Vehicles seen in the frame before choose first, then those without a
+        box for a few frames, then what is not yet a vehicle; among each, so that
+        the overlap of all together is largest. Vehicles long out of sight do not
+        choose: where they are expected, anything may lie.
         """
         owners = [None] * len(boxes)
-        ranks = [(track.identity == 0, track.n_missed > 1) for track in self._tracks]
+        choosing = [track for track in self._tracks if track.is_shown or not track.identity]
+        ranks = [(track.identity == 0, track.n_missed > 1) for track in choosing]
         for rank in sorted(set(ranks)):
-            tracks = [t for t, own in zip(self._tracks, ranks, strict=True) if own == rank]
+            tracks = [t for t, own in zip(choosing, ranks, strict=True) if own == rank]
             free = [i for i, owner in enumerate(owners) if owner is None]
-            gain = self._gain(boxes[free], tracks, rank[1])
+            gain = self._gain(boxes[free], tracks, rank[1], self.params.max_growth)
             for row, column in zip(*linear_sum_assignment(gain, maximize=True), strict=True):
                 if gain[row, column] > 0:
                     owners[free[row]] = tracks[column]
         return owners
 
-    def _gain(self, boxes, tracks, out_of_sight):
+    def _identity_of(self, track):
+        """That of a vehicle without a box where a track has become a vehicle, or a new one."""
+        absent = [other for other in self._tracks if other.identity and other.n_missed]
+        # Of a vehicle that comes out again, little can be seen at first.
+        gain = self._gain(track.box[None], absent, True, self.params.max_growth**2)[0]
+        if gain.max(initial=0) > 0:
+            known = absent[gain.argmax()]
+            self._tracks.remove(known)
+            return known.identity
+        self._n_identities += 1
+        return self._n_identities
+
+    def _gain(self, boxes, tracks, out_of_sight, max_growth):
         """IoU of every box with every prediction, 0 where it is not the track's; shape (n, m)."""
-        expected = np.array([track.box for track in tracks])
+        expected = np.array([track.box for track in tracks]).reshape(-1, 4)
         heights, own_heights = (b[:, 3] - b[:, 1] for b in (boxes, expected))
         growth = heights[:, None] / np.maximum(own_heights, 1e-9)
         if out_of_sight:
             boxes, expected = (_widened(b, self.params.reach) for b in (boxes, expected))
         iou = pairwise_iou(boxes, expected)
-        alike = np.maximum(growth, 1 / np.maximum(growth, 1e-9)) <= self.params.max_growth
+        alike = np.maximum(growth, 1 / np.maximum(growth, 1e-9)) <= max_growth
         return np.where(alike & (iou >= self.params.min_iou), iou, 0)
 
     def _is_kept(self, track):

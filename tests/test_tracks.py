@@ -130,6 +130,42 @@ def test_a_vehicle_away_for_too_long_is_another():
     assert step(tracker, boxes(box_at(100))) == [2]
 
 
+EVIDENCE = dict(birth=4.0, most_evidence=8.0, miss_cost=0.7)
+
+
+def identities_of(tracker, rows, score):
+    """Of the last of some frames with one box each."""
+    for row in rows:
+        tracker.predict()
+        tracks = tracker.update(boxes(row), np.array([score]))
+    return [track.identity for track in tracks if track]
+
+
+def test_what_lies_where_a_vehicle_is_hidden_does_not_move_it():
+    tracker = Tracker(TrackParams(max_missed=50, **EVIDENCE))
+    assert identities_of(tracker, [box_at(100)] * 10, 1.0) == [1]
+    for _ in range(15):
+        step(tracker, boxes())
+    ground = [box_at(100 + 10 * i) for i in range(2, 8)]
+    assert identities_of(tracker, ground, 0.5) == [0]
+    for _ in range(10):
+        step(tracker, boxes())
+    assert identities_of(tracker, [box_at(100)] * 6, 1.0) == [1]
+
+
+def test_a_vehicle_that_is_framed_otherwise_is_the_same():
+    tracker = Tracker(TrackParams(max_growth=1.4, **EVIDENCE))
+    assert identities_of(tracker, [box_at(100)] * 10, 1.0) == [1]
+    framed = box_at(100, y=80, height=70)
+    assert identities_of(tracker, [framed], 1.5) == [0]
+    assert identities_of(tracker, [framed] * 3, 1.5) == [1]
+    tracker.predict()
+    # The one before is gone: it would otherwise be shown beside.
+    assert [track.identity for track in tracker.update(boxes(), np.empty(0))] == []
+    assert [track.identity for track in tracker.bridged()] == []
+    assert step(tracker, boxes(framed, box_at(400))) == [1, 0]
+
+
 @pytest.mark.parametrize(("n_frames", "identity"), [(45, 1), (60, 3)])
 def test_hidden_frames_count_a_fifth(n_frames, identity):
     # A car draws level with one farther away, stays before it, and falls back again.
