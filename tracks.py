@@ -86,6 +86,8 @@ class TrackParams:
 # Boxes that come from heat have lasted already.
 HEAT_TRACKS = TrackParams()
 
+# A vehicle ends at the frame's side if it does within this share of its width.
+_AT_SIDE = 1 / 8
 # A vehicle without a box is hidden if another covers this share of where it is
 # expected; what such a frame counts.
 _HIDDEN, _HIDDEN_COUNTS = 0.5, 0.2
@@ -201,6 +203,13 @@ def _widened(boxes, share):
     return boxes + aside[:, None] * (-1, 0, 1, 0)
 
 
+def _is_at_side(box, n_columns):
+    """Whether a box ends at the left or right of the frame."""
+    left, _, right, _ = box
+    near = _AT_SIDE * (right - left)
+    return left < near or right > n_columns - near
+
+
 class Tracker:
     """All tracks of one video: `predict`, then `update`, frame by frame.
 
@@ -227,7 +236,7 @@ class Tracker:
         followed = [track.box for track in self._tracks if track.n_missed == 1]
         return np.array(followed).reshape(-1, 4)
 
-    def update(self, boxes, scores):
+    def update(self, boxes, scores, n_columns=None):
         """Whose the boxes of this frame are.
 
         Parameters
@@ -235,6 +244,8 @@ class Tracker:
         boxes : ndarray, shape (n, 4)
         scores : ndarray, shape (n,)
             Positive for vehicles.
+        n_columns : int, optional
+            Of the frame. A vehicle that went out of sight at its side has left.
 
         Returns
         -------
@@ -260,7 +271,7 @@ class Tracker:
         for track in list(self._tracks):
             if track.is_shown and not track.identity:
                 track.identity = self._identity_of(track)
-        self._tracks = [track for track in self._tracks if self._is_kept(track)]
+        self._tracks = [track for track in self._tracks if self._is_kept(track, n_columns)]
         return owners
 
     def bridged(self):
@@ -313,8 +324,10 @@ class Tracker:
         alike = np.maximum(growth, 1 / np.maximum(growth, 1e-9)) <= max_growth
         return np.where(alike & (iou >= self.params.min_iou), iou, 0)
 
-    def _is_kept(self, track):
+    def _is_kept(self, track, n_columns):
         """What was a vehicle may come back for a while; what never was one must go on growing."""
-        if track.identity:
-            return track.absence <= self.params.max_missed
-        return track.evidence > 0
+        if not track.identity:
+            return track.evidence > 0
+        if not track.is_shown and n_columns is not None and _is_at_side(track.box, n_columns):
+            return False
+        return track.absence <= self.params.max_missed

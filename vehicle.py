@@ -174,7 +174,7 @@ class Vehicle(Viewer):
 
     def _follow(self, proposals, candidates, scores):
         """Hand the candidates of a frame to the tracks; vehicles are those with evidence."""
-        tracks = self._tracker.update(candidates, scores)
+        tracks = self._tracker.update(candidates, scores, self._frame_shape[1])
         evidence = np.array([track.evidence if track else 0 for track in tracks])
         shown = [i for i, track in enumerate(tracks) if track and track.is_shown]
         seen = np.array([tracks[i].box for i in shown]).reshape(-1, 4)

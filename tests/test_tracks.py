@@ -166,6 +166,22 @@ def test_a_vehicle_that_is_framed_otherwise_is_the_same():
     assert step(tracker, boxes(framed, box_at(400))) == [1, 0]
 
 
+@pytest.mark.parametrize(("left", "identity"), [(0, 2), (200, 1), (400, 2)])
+def test_what_leaves_at_the_side_does_not_come_back(left, identity):
+    tracker = Tracker(TrackParams(max_missed=50))
+
+    def identities(of_frame):
+        tracker.predict()
+        tracks = tracker.update(of_frame, np.ones(len(of_frame)), n_columns=460)
+        return [track.identity for track in tracks]
+
+    for _ in range(3):
+        assert identities(boxes(box_at(left))) == [1]
+    for _ in range(5):
+        assert identities(boxes()) == []
+    assert identities(boxes(box_at(left))) == [identity]
+
+
 @pytest.mark.parametrize(("n_frames", "identity"), [(45, 1), (60, 3)])
 def test_hidden_frames_count_a_fifth(n_frames, identity):
     # A car draws level with one farther away, stays before it, and falls back again.
