@@ -5,8 +5,8 @@ boxes -> predictions -> assignment -> correction -> identities
 Every vehicle has a Kalman filter of constant velocity. Its prediction is held
 against the boxes of the frame; what matches corrects it, boxes of low scores
 less than others, and what does not match begins a track of its own. A vehicle
-out of sight is expected where it was for a while, but not shown: what becomes a
-vehicle there has its identity.
+without a box is expected where it was for a while: what becomes a vehicle there
+has its identity.
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class TrackParams:
         widened on each side by this share of their width: what comes out first
         is one side of a vehicle.
     max_missed : int
-        Frames that a track outlives without a box. Those in which another
+        Frames that a track outlives without a box. Those in which a nearer
         vehicle hides it count a fifth: overtaking can take long.
     max_bridged : int
         A vehicle without a box is shown where it is expected for so many
@@ -88,9 +88,9 @@ HEAT_TRACKS = TrackParams()
 
 # A vehicle ends at the frame's side if it does within this share of its width.
 _AT_SIDE = 1 / 8
-# A vehicle without a box is hidden if another covers this share of where it is
-# expected; what such a frame counts.
-_HIDDEN, _HIDDEN_COUNTS = 0.5, 0.2
+# A vehicle without a box is hidden if a nearer one covers this share of where it
+# is expected; of so many such frames each counts for one.
+_HIDDEN, _HIDDEN_FRAMES = 0.5, 5
 
 
 class Track:
@@ -105,8 +105,8 @@ class Track:
     evidence : float
     n_missed : int
         Frames since its last box.
-    absence : float
-        The same, but frames in which another vehicle hides it count a fifth.
+    n_hidden : int
+        Those of them in which a nearer vehicle hid it.
     box : ndarray of float, shape (4,)
         Where it is, or is expected in this frame.
     """
@@ -116,7 +116,7 @@ class Track:
         self.is_shown = False
         self.evidence = 0.0
         self.n_missed = 0
-        self.absence = 0.0
+        self.n_hidden = 0
         self.box = np.asarray(box, float)
         self._params = params
         height = box[3] - box[1]
@@ -145,8 +145,7 @@ class Track:
         something else, most often of what hides it. Without a positive score
         they are left alone, and `box` stays what was expected.
         """
-        self.n_missed = 0
-        self.absence = 0.0
+        self.n_missed = self.n_hidden = 0
         if score > 0:
             doubt = np.exp(max(0.0, 1 - score))
             self._filter.measurementNoiseCov = doubt * self._measurement_noise
@@ -157,9 +156,9 @@ class Track:
 
     def miss(self, others):
         """There is no box in this frame; `others`, shape (n, 4), are vehicles that have one."""
-        covered = pairwise_overlap(self.box[None], others).max(initial=0)
-        hidden = covered > _HIDDEN * box_areas(self.box[None])[0]
-        self.absence += _HIDDEN_COUNTS if hidden else 1.0
+        nearer = others[others[:, 3] > self.box[3]]
+        covered = pairwise_overlap(self.box[None], nearer).max(initial=0)
+        self.n_hidden += covered > _HIDDEN * max(0.0, box_areas(self.box[None])[0])
         self._slow_down()
         self._weigh(-self._params.miss_cost)
 
@@ -256,7 +255,7 @@ class Tracker:
         owners = self._assign(boxes)
         for i, (box, score) in enumerate(zip(boxes, scores, strict=True)):
             if score <= 0 and owners[i] is not None and not owners[i].is_shown:
-                # Ground that happens to lie where a hidden vehicle is expected.
+                # Ground where something has looked like a vehicle before.
                 owners[i] = None
             elif owners[i] is not None:
                 owners[i].correct(box, score)
@@ -268,9 +267,7 @@ class Tracker:
         for track in self._tracks:
             if track.n_missed:
                 track.miss(seen)
-        for track in list(self._tracks):
-            if track.is_shown and not track.identity:
-                track.identity = self._identity_of(track)
+        self._identify([t for t in self._tracks if t.is_shown and not t.identity])
         self._tracks = [track for track in self._tracks if self._is_kept(track, n_columns)]
         return owners
 
@@ -301,17 +298,25 @@ class Tracker:
                     owners[free[row]] = tracks[column]
         return owners
 
-    def _identity_of(self, track):
-        """That of a vehicle without a box where a track has become a vehicle, or a new one."""
-        absent = [other for other in self._tracks if other.identity and other.n_missed]
+    def _identify(self, vehicles):
+        """Give what has become a vehicle the identity of one without a box there, or a new one."""
+        absent = [track for track in self._tracks if track.identity and track.n_missed]
+        boxes = np.array([track.box for track in vehicles]).reshape(-1, 4)
         # Of a vehicle that comes out again, little can be seen at first.
-        gain = self._gain(track.box[None], absent, True, self.params.max_growth**2)[0]
-        if gain.max(initial=0) > 0:
-            known = absent[gain.argmax()]
-            self._tracks.remove(known)
-            return known.identity
-        self._n_identities += 1
-        return self._n_identities
+        limit = self.params.max_growth**2
+        gain = np.where(
+            [track.is_shown for track in absent],
+            self._gain(boxes, absent, False, limit),
+            self._gain(boxes, absent, True, limit),
+        )
+        for row, column in zip(*linear_sum_assignment(gain, maximize=True), strict=True):
+            if gain[row, column] > 0:
+                vehicles[row].identity = absent[column].identity
+                self._tracks.remove(absent[column])
+        for vehicle in vehicles:
+            if not vehicle.identity:
+                self._n_identities += 1
+                vehicle.identity = self._n_identities
 
     def _gain(self, boxes, tracks, out_of_sight, max_growth):
         """IoU of every box with every prediction, 0 where it is not the track's; shape (n, m)."""
@@ -325,9 +330,13 @@ class Tracker:
         return np.where(alike & (iou >= self.params.min_iou), iou, 0)
 
     def _is_kept(self, track, n_columns):
-        """What was a vehicle may come back for a while; what never was one must go on growing."""
+        """What was a vehicle may come back for a while, unless it left at the side of the frame.
+
+        What never was one must go on growing.
+        """
         if not track.identity:
             return track.evidence > 0
         if not track.is_shown and n_columns is not None and _is_at_side(track.box, n_columns):
             return False
-        return track.absence <= self.params.max_missed
+        n_absent = track.n_missed - track.n_hidden
+        return n_absent + track.n_hidden / _HIDDEN_FRAMES <= self.params.max_missed

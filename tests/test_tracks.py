@@ -154,16 +154,50 @@ def test_what_lies_where_a_vehicle_is_hidden_does_not_move_it():
 
 
 def test_a_vehicle_that_is_framed_otherwise_is_the_same():
-    tracker = Tracker(TrackParams(max_growth=1.4, **EVIDENCE))
+    tracker = Tracker(TrackParams(max_growth=1.4, max_bridged=5, **EVIDENCE))
     assert identities_of(tracker, [box_at(100)] * 10, 1.0) == [1]
     framed = box_at(100, y=80, height=70)
-    assert identities_of(tracker, [framed], 1.5) == [0]
-    assert identities_of(tracker, [framed] * 3, 1.5) == [1]
-    tracker.predict()
-    # The one before is gone: it would otherwise be shown beside.
-    assert [track.identity for track in tracker.update(boxes(), np.empty(0))] == []
-    assert [track.identity for track in tracker.bridged()] == []
-    assert step(tracker, boxes(framed, box_at(400))) == [1, 0]
+    assert identities_of(tracker, [framed] * 2, 1.5) == [0]
+    assert [track.identity for track in tracker.bridged()] == [1]
+    assert identities_of(tracker, [framed], 1.5) == [1]
+    # The track before is gone: it would otherwise be shown beside.
+    assert tracker.bridged() == []
+
+
+def test_a_gap_of_one_vehicle_does_not_give_its_identity_to_the_next():
+    tracker = Tracker(TrackParams(reach=0.25, max_bridged=2, **EVIDENCE))
+    assert identities_of(tracker, [box_at(100)] * 20, 1.0) == [1]
+    for _ in range(3):
+        assert step(tracker, boxes(box_at(100), box_at(158))) == [1, 0]
+    assert step(tracker, boxes(box_at(158))) == [2]
+    assert [track.identity for track in tracker.bridged()] == [1]
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_identities_go_to_those_that_fit_best(order):
+    tracker = Tracker(TrackParams())
+    assert step(tracker, boxes(box_at(100))) == [1]
+    for _ in range(5):
+        step(tracker, boxes())
+    found = boxes(box_at(138), box_at(100))[list(order)]
+    assert step(tracker, found) == [(2, 1)[i] for i in order]
+
+
+def test_time_out_of_sight_starts_anew_with_every_box():
+    tracker = Tracker(TrackParams(max_missed=10))
+    for _ in range(5):
+        assert step(tracker, boxes(box_at(100))) == [1]
+        for _ in range(8):
+            step(tracker, boxes())
+
+
+def test_what_is_farther_away_hides_nothing():
+    tracker = Tracker(TrackParams(max_missed=10, max_growth=1.4))
+    gone, lorry = box_at(100), np.array([90, 20, 190, 130])
+    assert step(tracker, boxes(gone, lorry)) == [1, 2]
+    for _ in range(12):
+        assert step(tracker, boxes(lorry)) == [2]
+    assert step(tracker, boxes(lorry, gone)) == [2, 3]
 
 
 @pytest.mark.parametrize(("left", "identity"), [(0, 2), (200, 1), (400, 2)])
