@@ -1,6 +1,7 @@
 """Work side by side: compiled code and OpenCV run outside the interpreter's lock."""
 
 import os
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
@@ -11,14 +12,31 @@ import cv2
 cv2.setNumThreads(1)
 
 _N_CORES = os.cpu_count() or 1
-_THREADS = ThreadPoolExecutor(_N_CORES)
+
+
+class _ThisThread(threading.local):
+    """Whether this thread is within a call that is shared; every thread sees its own."""
+
+    is_within = False
+
+
+_THIS_THREAD = _ThisThread()
+
+
+def _always_within():
+    _THIS_THREAD.is_within = True
+
+
+# The caller works too.
+_THREADS = ThreadPoolExecutor(max(1, _N_CORES - 1), initializer=_always_within)
 
 
 def side_by_side(function, items):
     """Call a function with every item, in as many threads as there are cores.
 
     What no thread has begun when its result is asked for is done by the
-    caller itself: calls within calls wait for nothing that nobody does.
+    caller itself. Calls within calls are done where they are made: the cores
+    are taken, and waking a thread takes longer than most of them.
 
     Parameters
     ----------
@@ -31,12 +49,16 @@ def side_by_side(function, items):
     results : list
         In the order of the items.
     """
+    if _THIS_THREAD.is_within or len(items) < 2:
+        return [function(item) for item in items]
     futures = [_THREADS.submit(function, item) for item in items[1:]]
+    _THIS_THREAD.is_within = True
     try:
-        results = [function(item) for item in items[:1]]
+        results = [function(items[0])]
         for future, item in zip(futures, items[1:], strict=True):
             results.append(function(item) if future.cancel() else future.result())
     finally:
+        _THIS_THREAD.is_within = False
         # Where one has failed, nobody needs the others.
         for future in futures:
             future.cancel()

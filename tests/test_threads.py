@@ -32,6 +32,27 @@ def test_calls_within_calls_end():
     assert results == [256]
 
 
+def test_calls_within_calls_stay_in_their_thread():
+    def inner_threads(_):
+        """The thread of a call, and those of the calls within it."""
+        return threading.get_ident(), *side_by_side(lambda _: threading.get_ident(), range(4))
+
+    for threads in side_by_side(inner_threads, range(8)):
+        assert len(set(threads)) == 1
+
+
+def test_calls_after_one_that_failed_are_shared_again():
+    def fail(_):
+        """Fails at once."""
+        raise KeyError
+
+    with pytest.raises(KeyError):
+        side_by_side(fail, range(2))
+    meeting = threading.Barrier(2)
+    # Each waits for the other: one thread alone would not get past it.
+    side_by_side(lambda _: meeting.wait(timeout=60), range(2))
+
+
 @pytest.mark.parametrize("culprit", [0, 3])
 def test_errors_reach_the_caller(culprit):
     def fail(n):
