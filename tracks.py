@@ -35,9 +35,6 @@ class TrackParams:
     max_missed : int
         Frames that a track outlives without a box. Those in which a nearer
         vehicle hides it count a fifth: overtaking can take long.
-    max_bridged : int
-        A vehicle without a box is shown where it is expected for so many
-        frames, and then no more.
     measurement_noise, process_noise : float
         Standard deviations as shares of a vehicle's height: of the edges of a
         box whose score is 1 or more, and of the change of their velocity from frame
@@ -58,7 +55,6 @@ class TrackParams:
     max_growth: float = np.inf
     reach: float = 0.0
     max_missed: int = 50
-    max_bridged: int = 0
     measurement_noise: float = 0.1
     process_noise: float = 0.01
     kept_velocity: float = 1.0
@@ -71,8 +67,8 @@ class TrackParams:
             raise ValueError(f"min_iou lies between 0 and 1, not at {self.min_iou}")
         if self.max_growth <= 1 or self.reach < 0:
             raise ValueError("max_growth is above 1, and reach starts at 0")
-        if min(self.max_missed, self.max_bridged) < 0:
-            raise ValueError("max_missed and max_bridged start at 0")
+        if self.max_missed < 0:
+            raise ValueError("max_missed starts at 0")
         if min(self.measurement_noise, self.process_noise) <= 0:
             raise ValueError("noise is above 0")
         if not 0 <= self.kept_velocity <= 1:
@@ -272,11 +268,8 @@ class Tracker:
         return owners
 
     def bridged(self):
-        """Tracks of vehicles that have no box in this frame, but had one just before."""
-        return [
-            track for track in self._tracks
-            if track.is_shown and 0 < track.n_missed <= self.params.max_bridged
-        ]  # fmt: skip
+        """Tracks of vehicles that have no box in this frame, but evidence left."""
+        return [track for track in self._tracks if track.is_shown and track.n_missed]
 
     def _assign(self, boxes):
         """Known track of every box or None.

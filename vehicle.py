@@ -28,7 +28,7 @@ from tracks import Tracker, TrackParams, pairwise_iou
 from viewer import Viewer
 
 DEFAULT_TRACKS = TrackParams(
-    min_iou=0.2, max_growth=1.4, reach=0.25, max_missed=75, max_bridged=2,
+    min_iou=0.2, max_growth=1.4, reach=0.25, max_missed=75,
     measurement_noise=0.1, process_noise=0.01, kept_velocity=0.8,
     birth=4.0, most_evidence=8.0, miss_cost=0.7,
 )  # fmt: skip

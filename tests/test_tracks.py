@@ -82,8 +82,8 @@ def test_what_hides_a_vehicle_does_not_take_its_identity():
     assert identity_of_the_nearer(max_growth=np.inf) == [1]
 
 
-def test_a_gap_of_a_frame_or_two_is_bridged():
-    tracker = Tracker(TrackParams(max_bridged=2, most_evidence=8))
+def test_gaps_are_bridged_while_there_is_evidence():
+    tracker = Tracker(TrackParams(most_evidence=8, miss_cost=3))
     for i in range(10):
         step(tracker, boxes(box_at(100 + 5 * i)))
         assert tracker.bridged() == []
@@ -154,7 +154,7 @@ def test_what_lies_where_a_vehicle_is_hidden_does_not_move_it():
 
 
 def test_a_vehicle_that_is_framed_otherwise_is_the_same():
-    tracker = Tracker(TrackParams(max_growth=1.4, max_bridged=5, **EVIDENCE))
+    tracker = Tracker(TrackParams(max_growth=1.4, **EVIDENCE))
     assert identities_of(tracker, [box_at(100)] * 10, 1.0) == [1]
     framed = box_at(100, y=80, height=70)
     assert identities_of(tracker, [framed] * 2, 1.5) == [0]
@@ -165,7 +165,7 @@ def test_a_vehicle_that_is_framed_otherwise_is_the_same():
 
 
 def test_a_gap_of_one_vehicle_does_not_give_its_identity_to_the_next():
-    tracker = Tracker(TrackParams(reach=0.25, max_bridged=2, **EVIDENCE))
+    tracker = Tracker(TrackParams(reach=0.25, **EVIDENCE))
     assert identities_of(tracker, [box_at(100)] * 20, 1.0) == [1]
     for _ in range(3):
         assert step(tracker, boxes(box_at(100), box_at(158))) == [1, 0]
@@ -332,7 +332,6 @@ def test_expected_are_those_of_the_frame_before():
         {"min_iou": 0},
         {"min_iou": 1},
         {"max_missed": -1},
-        {"max_bridged": -1},
         {"process_noise": 0},
         {"birth": -1},
         {"birth": 2, "most_evidence": 1},
