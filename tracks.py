@@ -84,6 +84,8 @@ HEAT_TRACKS = TrackParams()
 
 # A vehicle ends at the frame's side if it does within this share of its width.
 _AT_SIDE = 1 / 8
+# Share by which a box in clear sight corrects how wide a vehicle is taken to be.
+_NEW_WIDTH = 0.1
 # A vehicle without a box is hidden if a nearer one covers this share of where it
 # is expected; of so many such frames each counts for one.
 _HIDDEN, _HIDDEN_FRAMES = 0.5, 5
@@ -127,6 +129,7 @@ class Track:
         self._filter.processNoiseCov = drift * np.kron([[0.25, 0.5], [0.5, 1.0]], np.eye(4))
         self._filter.errorCovPost = variance * np.diag([1.0] * 4 + [0.1] * 4)
         self._filter.statePost = np.concatenate([box, np.zeros(4)])[:, None].astype(float)
+        self._width = box[2] - box[0]
         self._weigh(score)
 
     def predict(self):
@@ -148,6 +151,8 @@ class Track:
             self.box = self._filter.correct(np.asarray(box, float)[:, None])[:4, 0].copy()
         else:
             self._slow_down()
+        if score >= 1:
+            self._width += _NEW_WIDTH * (self.box[2] - self.box[0] - self._width)
         self._weigh(score)
 
     def miss(self, others):
@@ -156,7 +161,24 @@ class Track:
         covered = pairwise_overlap(self.box[None], nearer).max(initial=0)
         self.n_hidden += covered > _HIDDEN * max(0.0, box_areas(self.box[None])[0])
         self._slow_down()
+        was_shown = self.is_shown
         self._weigh(-self._params.miss_cost)
+        if was_shown and not self.is_shown:
+            self._widen_behind(nearer)
+
+    def _widen_behind(self, nearer):
+        """As wide again as in clear sight: what was seen last was what a nearer vehicle left."""
+        left, _, right, _ = self.box
+        beside = pairwise_overlap(_widened(self.box[None], 0.5), nearer)[0]
+        hidden = self._width - (right - left)
+        if beside.max(initial=0) == 0 or hidden <= 0:
+            return
+        hider = nearer[beside.argmax()]
+        edge, outward = (2, 1) if hider[0] + hider[2] > left + right else (0, -1)
+        state = self._filter.statePost.copy()
+        state[edge] += outward * hidden
+        self._filter.statePost = state
+        self.box[edge] += outward * hidden
 
     def _slow_down(self):
         state = self._filter.statePost.copy()
@@ -230,6 +252,11 @@ class Tracker:
             track.predict()
         followed = [track.box for track in self._tracks if track.n_missed == 1]
         return np.array(followed).reshape(-1, 4)
+
+    def absent(self):
+        """Where vehicles are expected that had no box in the frame before, shape (n, 4)."""
+        absent = [track.box for track in self._tracks if track.identity and track.n_missed > 1]
+        return np.array(absent).reshape(-1, 4)
 
     def update(self, boxes, scores, n_columns=None):
         """Whose the boxes of this frame are.

@@ -19,6 +19,7 @@ from detector import (
     load_detector,
     look_closer,
     margins_outside,
+    move_edges,
     near_horizon,
     propose,
 )
@@ -38,6 +39,9 @@ STILL_TRACKS = TrackParams(birth=0.5)
 
 # A proposal that overlaps a known vehicle this much shows nothing else.
 _SAME_IOU = 0.6
+# What was last seen of a vehicle was often framed together with what hid it: it is
+# looked for at three quarters of the size too.
+_SMALLER = np.array([1, 1, -1, -1]) / 8
 # Where two boxes are rivals, the one that goes on with a track is believed more.
 _TRUST_IN_TRACKS = 0.5
 # Only vehicles tell where the road is, and they do so from some fifty boxes on.
@@ -143,23 +147,29 @@ class Vehicle(Viewer):
         road = fit_road(np.array(self._seen)) if len(self._seen) > _ENOUGH_SEEN else None
         proposals = self._propose(rgb_frame, road)
         self._n_frames += 1
-        rows, columns = rgb_frame.shape[:2]
-        # Truth ends where the frame ends, and so does what was learned from it.
-        expected = np.clip(self._tracker.predict(), 0, (columns, rows, columns, rows))
-        expected = expected[are_plausible(expected, rgb_frame.shape, self.scan)]
+        expected = self._on_frame(self._tracker.predict())
+        absent = self._tracker.absent()
+        absent = self._on_frame(np.concatenate([absent, move_edges(absent, _SMALLER)]))
         fresh = pairwise_iou(proposals, expected).max(axis=1, initial=0) < _SAME_IOU
-        looked_at = np.concatenate([expected, proposals[fresh]])
+        looked_at = np.concatenate([expected, absent, proposals[fresh]])
         boxes, scores = look_closer(rgb_frame, looked_at, self.detector)
         plausible = are_plausible(boxes, rgb_frame.shape, self.scan)
         if road is not None:
-            plausible &= stand_on_road(boxes, road, rows)
+            plausible &= stand_on_road(boxes, road, len(rgb_frame))
             # Of what the border cuts, only the bonnet may be in sight.
             whole = 1 - margins_outside(boxes, rgb_frame.shape).max(axis=1)
-            scores = scores - _COST_OF_LOWNESS * whole * lowness(boxes, road, rows)
+            scores = scores - _COST_OF_LOWNESS * whole * lowness(boxes, road, len(rgb_frame))
         trusted = scores + _TRUST_IN_TRACKS * (np.arange(len(boxes)) < len(expected))
         plausible = np.flatnonzero(plausible)
         kept = plausible[keep_wholes(boxes[plausible], trusted[plausible])]
         return self._follow(proposals, boxes[kept], scores[kept])
+
+    def _on_frame(self, boxes):
+        """Boxes cut at the frame's border, without those that cannot be vehicles there."""
+        rows, columns = self._frame_shape[:2]
+        # Truth ends where the frame ends, and so does what was learned from it.
+        boxes = np.clip(boxes, 0, (columns, rows, columns, rows))
+        return boxes[are_plausible(boxes, self._frame_shape, self.scan)]
 
     def _propose(self, rgb_frame, road):
         """Proposals of a group of levels, of all of them in the first frame."""
