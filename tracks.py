@@ -168,17 +168,16 @@ class Track:
 
     def _widen_behind(self, nearer):
         """As wide again as in clear sight: what was seen last was what a nearer vehicle left."""
-        left, _, right, _ = self.box
-        beside = pairwise_overlap(_widened(self.box[None], 0.5), nearer)[0]
-        hidden = self._width - (right - left)
-        if beside.max(initial=0) == 0 or hidden <= 0:
-            return
-        hider = nearer[beside.argmax()]
-        edge, outward = (2, 1) if hider[0] + hider[2] > left + right else (0, -1)
-        state = self._filter.statePost.copy()
-        state[edge] += outward * hidden
-        self._filter.statePost = state
-        self.box[edge] += outward * hidden
+        left, top, right, bottom = self.box
+        hidden = max(0.0, self._width - (right - left))
+        sides = np.array([[left - hidden, top, left, bottom], [right, top, right + hidden, bottom]])
+        covered = pairwise_overlap(sides, nearer).max(axis=1, initial=0)
+        if covered.max() > 0:
+            edge, widening = (0, -hidden) if covered[0] > covered[1] else (2, hidden)
+            state = self._filter.statePost.copy()
+            state[edge] += widening
+            self._filter.statePost = state
+            self.box[edge] += widening
 
     def _slow_down(self):
         state = self._filter.statePost.copy()

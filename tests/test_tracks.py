@@ -173,6 +173,52 @@ def test_a_gap_of_one_vehicle_does_not_give_its_identity_to_the_next():
     assert [track.identity for track in tracker.bridged()] == [1]
 
 
+def test_absent_are_vehicles_that_have_missed_a_frame():
+    tracker = Tracker(TrackParams(**EVIDENCE))
+    for _ in range(10):
+        tracker.predict()
+        assert len(tracker.absent()) == 0
+        # The second never is a vehicle.
+        tracker.update(boxes(box_at(100), box_at(300)), np.array([1.0, 0.1]))
+    step(tracker, boxes())
+    tracker.predict()
+    np.testing.assert_allclose(tracker.absent(), boxes(box_at(100)), atol=0.1)
+
+
+def box_out_of_sight(hidden_share, nearer):
+    """Where a vehicle of 60 x 40 pixels at 100 is expected, hidden from the right by degrees."""
+    tracker = Tracker(TrackParams(kept_velocity=0.8, **EVIDENCE))
+    for width in [60] * 30 + list(range(60, 60 - round(60 * hidden_share), -2)):
+        tracker.predict()
+        own = box_at(100, width=width)
+        # Little to be seen means low scores.
+        scores = np.array([1.0 if width == 60 else 0.5, 1.0])
+        tracker.update(np.concatenate([boxes(own), nearer(width)]), scores)
+    for _ in range(15):
+        tracker.predict()
+        tracker.update(nearer(width), np.ones(len(nearer(width))))
+    tracker.predict()
+    (box,) = tracker.absent()
+    return box
+
+
+def test_behind_a_nearer_vehicle_it_is_as_wide_as_it_was():
+    def nearer(width):
+        """Covers it from its visible right edge on."""
+        return boxes(box_at(100 + width, y=90, width=100, height=80))
+
+    left, _, right, _ = box_out_of_sight(0.7, nearer)
+    assert abs(left - 100) < 4
+    assert abs(right - left - 60) < 4
+
+
+def test_beside_nothing_it_stays_as_it_was_seen():
+    left, _, right, _ = box_out_of_sight(
+        0.7, lambda width: boxes(box_at(400, y=90, width=100, height=80))
+    )
+    assert right - left < 30
+
+
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_identities_go_to_those_that_fit_best(order):
     tracker = Tracker(TrackParams())

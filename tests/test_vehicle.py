@@ -66,6 +66,27 @@ def test_a_gap_is_bridged_only_beside_what_is_seen(path, left, is_bridged):
     assert len(detections.boxes) == 1 + is_bridged
 
 
+def test_a_vehicle_out_of_sight_is_looked_for_where_it_is_expected(path, monkeypatch):
+    looked_at = []
+
+    def see_nothing(img, boxes, detector):
+        """What `look_closer` says of places without a vehicle."""
+        looked_at[:] = boxes
+        return boxes, np.full(len(boxes), -5.0)
+
+    monkeypatch.setattr("vehicle.look_closer", see_nothing)
+    vehicle = Vehicle(None, path)
+    frame = textured_image(0, 180, 320)
+    vehicle.detect(frame)
+    known = np.array([[120.0, 80, 180, 120]])
+    for boxes in [known] * 5 + [known[:0]] * 3:
+        vehicle._tracker.predict()
+        vehicle._follow(boxes, boxes, np.full(len(boxes), 2.0))
+    vehicle.detect(frame)
+    for place in (known[0], [127.5, 85, 172.5, 115]):
+        assert np.abs(np.array(looked_at) - place).max(axis=1).min() < 1
+
+
 def test_reset_forgets(path):
     vehicle = Vehicle(None, path, track_params=EAGER)
     first = [vehicle.detect(frame) for frame in frames(8)]
