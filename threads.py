@@ -15,7 +15,7 @@ _N_CORES = os.cpu_count() or 1
 
 
 class _ThisThread(threading.local):
-    """Whether this thread is within a call that is shared; every thread sees its own."""
+    """Whether this thread works on an item of several; every thread sees its own."""
 
     is_within = False
 
@@ -35,8 +35,8 @@ def side_by_side(function, items):
     """Call a function with every item, in as many threads as there are cores.
 
     What no thread has begun when its result is asked for is done by the
-    caller itself. Calls within calls are done where they are made: the cores
-    are taken, and waking a thread takes longer than most of them.
+    caller itself. Calls within calls are done where they are made: waking a
+    thread takes longer than most of them. A single item is no such call.
 
     Parameters
     ----------

@@ -84,7 +84,8 @@ HEAT_TRACKS = TrackParams()
 
 # A vehicle ends at the frame's side if it does within this share of its width.
 _AT_SIDE = 1 / 8
-# Share by which a box in clear sight corrects how wide a vehicle is taken to be.
+# Share by which a box of a score of 1 or more, in clear sight then, corrects how
+# wide a vehicle is taken to be.
 _NEW_WIDTH = 0.1
 # A vehicle without a box is hidden if a nearer one covers this share of where it
 # is expected; of so many such frames each counts for one.
@@ -161,18 +162,21 @@ class Track:
         covered = pairwise_overlap(self.box[None], nearer).max(initial=0)
         self.n_hidden += covered > _HIDDEN * max(0.0, box_areas(self.box[None])[0])
         self._slow_down()
-        was_shown = self.is_shown
         self._weigh(-self._params.miss_cost)
-        if was_shown and not self.is_shown:
+        if self.identity and not self.is_shown:
             self._widen_behind(nearer)
 
     def _widen_behind(self, nearer):
-        """As wide again as in clear sight: what was seen last was what a nearer vehicle left."""
+        """Out of sight, it is as wide again as in clear sight, on the side that is hidden.
+
+        What was seen last was the part that a nearer vehicle left in sight. Where
+        one covers both sides alike, or neither, nothing is known.
+        """
         left, top, right, bottom = self.box
         hidden = max(0.0, self._width - (right - left))
         sides = np.array([[left - hidden, top, left, bottom], [right, top, right + hidden, bottom]])
         covered = pairwise_overlap(sides, nearer).max(axis=1, initial=0)
-        if covered.max() > 0:
+        if not np.isclose(*covered):
             edge, widening = (0, -hidden) if covered[0] > covered[1] else (2, hidden)
             state = self._filter.statePost.copy()
             state[edge] += widening
@@ -253,7 +257,7 @@ class Tracker:
         return np.array(followed).reshape(-1, 4)
 
     def absent(self):
-        """Where vehicles are expected that had no box in the frame before, shape (n, 4)."""
+        """After `predict`: where vehicles are expected that had no box before, shape (n, 4)."""
         absent = [track.box for track in self._tracks if track.identity and track.n_missed > 1]
         return np.array(absent).reshape(-1, 4)
 

@@ -59,9 +59,9 @@ class Detections:
     proposals : ndarray of float, shape (n, 4)
         Windows of the first stage, in pixels of the frame as read, like all boxes.
     candidates : ndarray of float, shape (m, 4)
-        Where the closer look has moved the tracks of the frame before, and the
-        proposals that are not near one; without what is implausible or part of
-        a better one.
+        Where the closer look has moved the tracks of the frame before, vehicles
+        out of sight, and the proposals that are not near a track; without what is
+        implausible or part of a better one.
     candidate_scores, candidate_evidence : ndarray of float, shape (m,)
         Decision function of each, less what it costs to be lower than a car where
         it stands; evidence of the track it belongs to, 0 for none.

@@ -20,7 +20,7 @@ def reference(img, orientations, cell, block):
     ]  # fmt: skip
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 10_000),
     rows=st.integers(16, 70),
@@ -39,7 +39,7 @@ def test_equals_scikit_image(seed, rows, columns, orientations, cell, block):
     np.testing.assert_allclose(hog_blocks(img, orientations, cell, block), expected, atol=2e-6)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 10_000),
     orientations=st.sampled_from([2, 3, 4, 6, 8, 9, 12, 16]),
@@ -85,7 +85,6 @@ def test_tile_histograms_by_numpy():
             np.testing.assert_array_equal(tiles[row, column], expected)
 
 
-@settings(deadline=None)  # the first call of each type compiles
 @given(
     st.sampled_from([np.uint8, np.int64, np.float32]),
     st.tuples(*[st.integers(1, 4)] * 6),

@@ -61,7 +61,7 @@ def random_boxes(rng, count, extent=200):
 # ------------------------------------------------------------------- windows
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     width=st.integers(200, 2000),
     shape=st.floats(0.4, 0.8),
@@ -120,7 +120,7 @@ def test_cells_hold_hog_and_mean_colour():
     np.testing.assert_allclose(features[2, 5, ORIENTATIONS:], cell, atol=0.003)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     rows=st.integers(1, 20),
     columns=st.integers(1, 30),
@@ -176,7 +176,7 @@ def test_the_horizon_is_narrowed_down_within_what_was_asked_for(seen, expected):
     assert replace(near, horizon=scan.horizon) == scan
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(n_proposals=st.integers(1, 4), n_entering=st.integers(0, 3), seed=st.integers(0, 1000))
 def test_proposals_at_the_sides_are_added_to_the_best(n_proposals, n_entering, seed):
     img, templates = textured_image(seed, 90, 400), random_detector(seed).templates
@@ -195,7 +195,7 @@ def test_proposals_at_the_sides_are_added_to_the_best(n_proposals, n_entering, s
     assert (np.diff(scores) <= 0).all()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(count=st.integers(0, 25), overlap=st.floats(0.1, 0.9), seed=st.integers(0, 10_000))
 def test_suppression_is_greedy(count, overlap, seed):
     rng = np.random.default_rng(seed)
@@ -210,7 +210,7 @@ def test_suppression_is_greedy(count, overlap, seed):
 # -------------------------------------------------------------- closer look
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     left=st.integers(-90, 90),
     top=st.integers(-90, 90),
@@ -228,7 +228,7 @@ def test_outside_of_the_frame_its_edge_goes_on(left, top, width, height):
     np.testing.assert_array_equal(small, expected)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(count=st.integers(0, 6), seed=st.integers(0, 10_000))
 def test_boxes_on_whole_pixels_stay_where_they_are(count, seed):
     boxes = random_boxes(np.random.default_rng(seed), count)
@@ -275,7 +275,7 @@ def test_margins_outside_are_shares_of_a_cell():
     assert margins_outside(boxes[:0], (100, 200, 3)).shape == (0, N_BORDERS)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(count=st.integers(0, 6), seed=st.integers(0, 1000))
 def test_kernel_machine_is_a_sum_of_gaussians(count, seed):
     rng = np.random.default_rng(seed)
@@ -333,7 +333,7 @@ def test_what_is_hopeless_where_it_was_proposed_is_not_moved():
     assert (moved[others] != boxes[others]).any()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(count=st.integers(0, 12), seed=st.integers(0, 10_000))
 def test_of_rivals_the_better_one_is_kept(count, seed):
     rng = np.random.default_rng(seed)

@@ -95,7 +95,7 @@ boxes = st.lists(
 ).map(lambda b: np.array([(x, y, x + w, y + h) for x, y, w, h in b], float).reshape(-1, 4))
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(required=boxes, detected=boxes, threshold=st.floats(0.1, 0.9))
 def test_match_finds_as_many_pairs_as_there_can_be(required, detected, threshold):
     iou = pairwise_iou(required, detected)

@@ -168,7 +168,7 @@ def feature_params(draw):
     )
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(
     params=feature_params(),
     seed=st.integers(0, 1000),
@@ -222,7 +222,7 @@ def test_slide_window_counts_of_preset_g():
     assert len(windows) == 713
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     height=st.integers(200, 1100),
     width=st.integers(300, 2000),
@@ -254,7 +254,7 @@ def test_windows_lie_in_their_band(height, width, scale, top, rows, cells):
     assert right.max() + pitch > own_scale * int(width / own_scale) - 1
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     params=feature_params(),
     seed=st.integers(0, 1000),
@@ -301,7 +301,7 @@ def test_search_finds_the_one_window_it_was_made_for():
     np.testing.assert_array_equal(windows[scores > 0], [(112, 32, 176, 96)])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 10_000),
     scale=st.floats(0.8, 2.5),
@@ -369,7 +369,7 @@ def random_boxes(rng, windows, count):
     return windows[rng.integers(len(windows), size=count)]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 10_000),
     scale=st.floats(0.9, 3),

@@ -16,7 +16,7 @@ def cars(rng, count, horizon, camera_to_car, heights=(30, 200)):
     return np.stack([left, bottom - height, left + 1.4 * height, bottom], axis=1)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(horizon=st.floats(200, 500), camera_to_car=st.floats(0.85, 1.8), seed=st.integers(0, 10_000))
 def test_cars_tell_the_road_and_lorries_hardly_change_it(horizon, camera_to_car, seed):
     rng = np.random.default_rng(seed)

@@ -1,6 +1,7 @@
 """Work side by side: the same results in the same order, also for calls within calls."""
 
 import threading
+import time
 
 import pytest
 from hypothesis import given
@@ -32,13 +33,27 @@ def test_calls_within_calls_end():
     assert results == [256]
 
 
-def test_calls_within_calls_stay_in_their_thread():
-    def inner_threads(_):
-        """The thread of a call, and those of the calls within it."""
-        return threading.get_ident(), *side_by_side(lambda _: threading.get_ident(), range(4))
+def threads_within(n_items):
+    """The threads that work on calls within the first of some calls."""
 
-    for threads in side_by_side(inner_threads, range(8)):
-        assert len(set(threads)) == 1
+    def inner(_):
+        """Long enough for another thread to wake up."""
+        time.sleep(0.02)
+        return threading.get_ident()
+
+    def outer(n):
+        """Only the first makes calls, so that the other threads have nothing to do."""
+        return {threading.get_ident(), *side_by_side(inner, range(4))} if n == 0 else set()
+
+    return side_by_side(outer, range(n_items))[0]
+
+
+def test_calls_within_calls_stay_in_their_thread():
+    assert len(threads_within(2)) == 1
+
+
+def test_calls_within_a_single_one_are_shared():
+    assert len(threads_within(1)) > 1
 
 
 def test_calls_after_one_that_failed_are_shared_again():

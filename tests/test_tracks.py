@@ -83,15 +83,15 @@ def test_what_hides_a_vehicle_does_not_take_its_identity():
 
 
 def test_gaps_are_bridged_while_there_is_evidence():
-    tracker = Tracker(TrackParams(most_evidence=8, miss_cost=3))
+    tracker = Tracker(TrackParams(most_evidence=8, miss_cost=1.5))
     for i in range(10):
         step(tracker, boxes(box_at(100 + 5 * i)))
         assert tracker.bridged() == []
     shown = []
-    for _ in range(4):
+    for _ in range(7):
         step(tracker, boxes())
         shown.append([track.identity for track in tracker.bridged()])
-    assert shown == [[1], [1], [], []]
+    assert shown == [[1]] * 5 + [[]] * 2
 
 
 def test_a_vehicle_comes_out_again_side_first():
@@ -185,37 +185,68 @@ def test_absent_are_vehicles_that_have_missed_a_frame():
     np.testing.assert_allclose(tracker.absent(), boxes(box_at(100)), atol=0.1)
 
 
-def box_out_of_sight(hidden_share, nearer):
-    """Where a vehicle of 60 x 40 pixels at 100 is expected, hidden from the right by degrees."""
+def box_out_of_sight(visible_of, others_of, score=None):
+    """Where a vehicle of 60 x 40 pixels at 100 is expected, hidden by degrees.
+
+    Of its `width`, `visible_of(width)` is in sight, and `others_of(width)` are
+    there; at the end it has boxes of that score, or none.
+    """
     tracker = Tracker(TrackParams(kept_velocity=0.8, **EVIDENCE))
-    for width in [60] * 30 + list(range(60, 60 - round(60 * hidden_share), -2)):
+    # Far away at first: only the width before it is hidden counts.
+    for width in [30] * 10 + [60] * 50 + list(range(60, 18, -2)):
         tracker.predict()
-        own = box_at(100, width=width)
+        others = others_of(width)
         # Little to be seen means low scores.
-        scores = np.array([1.0 if width == 60 else 0.5, 1.0])
-        tracker.update(np.concatenate([boxes(own), nearer(width)]), scores)
+        scores = np.append(0.5 if width < 60 else 1.0, np.ones(len(others)))
+        tracker.update(np.concatenate([boxes(visible_of(width)), others]), scores)
     for _ in range(15):
         tracker.predict()
-        tracker.update(nearer(width), np.ones(len(nearer(width))))
+        seen = boxes() if score is None else boxes(visible_of(width))
+        scores = np.append(np.full(len(seen), score or 0.0), np.ones(len(others)))
+        tracker.update(np.concatenate([seen, others]), scores)
+    step(tracker, others)
     tracker.predict()
     (box,) = tracker.absent()
     return box
 
 
-def test_behind_a_nearer_vehicle_it_is_as_wide_as_it_was():
-    def nearer(width):
-        """Covers it from its visible right edge on."""
-        return boxes(box_at(100 + width, y=90, width=100, height=80))
-
-    left, _, right, _ = box_out_of_sight(0.7, nearer)
-    assert abs(left - 100) < 4
-    assert abs(right - left - 60) < 4
+def right_hidden(width):
+    return box_at(100, width=width)
 
 
-def test_beside_nothing_it_stays_as_it_was_seen():
-    left, _, right, _ = box_out_of_sight(
-        0.7, lambda width: boxes(box_at(400, y=90, width=100, height=80))
-    )
+def left_hidden(width):
+    return box_at(160 - width, width=width)
+
+
+def coverer(left, bottom=170):
+    return boxes((left, 90, left + 100, bottom))
+
+
+@pytest.mark.parametrize("score", [None, -1.0])
+@pytest.mark.parametrize(
+    "visible_of, others_of",
+    [
+        (right_hidden, lambda width: coverer(100 + width)),
+        (left_hidden, lambda width: coverer(60 - width)),
+    ],
+)
+def test_behind_a_nearer_vehicle_it_is_as_wide_as_it_was(visible_of, others_of, score):
+    left, _, right, _ = box_out_of_sight(visible_of, others_of, score)
+    assert abs(left - 100) < 6
+    assert abs(right - 160) < 6
+
+
+@pytest.mark.parametrize(
+    "others_of",
+    [
+        lambda width: coverer(400),
+        # Farther away: it hides nothing.
+        lambda width: coverer(100 + width, bottom=120),
+        lambda width: boxes((0, 90, 300, 170)),
+    ],
+)
+def test_where_no_side_is_known_to_be_hidden_it_stays_as_it_was_seen(others_of):
+    left, _, right, _ = box_out_of_sight(right_hidden, others_of)
     assert right - left < 30
 
 

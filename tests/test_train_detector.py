@@ -94,7 +94,7 @@ def test_what_is_mostly_cut_off_is_not_required():
     assert required.tolist() == [True, False, False]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 10_000))
 def test_any_camera_sees_the_vehicle_in_its_box(seed):
     frame = np.full((180, 320, 3), 128, np.uint8)

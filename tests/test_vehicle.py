@@ -79,7 +79,7 @@ def test_a_vehicle_out_of_sight_is_looked_for_where_it_is_expected(path, monkeyp
     frame = textured_image(0, 180, 320)
     vehicle.detect(frame)
     known = np.array([[120.0, 80, 180, 120]])
-    for boxes in [known] * 5 + [known[:0]] * 3:
+    for boxes in [known] * 5 + [known[:0]] * 15:
         vehicle._tracker.predict()
         vehicle._follow(boxes, boxes, np.full(len(boxes), 2.0))
     vehicle.detect(frame)
