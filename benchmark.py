@@ -225,7 +225,7 @@ def training(data):
             "training": lambda: quietly(train, vehicles, others, params, arguments),
             "reference": lambda: reference_training(vehicles, others, params),
         },
-        rounds=1,
+        rounds=3,
     )
     times = {f"{name}, s": value / 1000 for name, value in times.items()}
     return times | {"ratio": times["reference, s"] / times["training, s"]}

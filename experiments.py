@@ -35,7 +35,7 @@ from files import find_images, write_whole, written_whole
 from heat_vehicle import HeatVehicle
 from pipeline_functions import SEARCH_PRESETS, FeatureParams, SearchParams, extract_features
 from train import fit_linear, fit_searched
-from training_images import read_window
+from training_images import read_windows
 from video import read_frames
 
 SEEDS = (0, 1, 2)
@@ -87,13 +87,9 @@ def load_dataset(folder):
         found = sorted(find_images(folder / name), key=numbers_in)
         paths += found
         labels += [label] * len(found)
-    windows = [read_window(path, 64) for path in tqdm(paths, "images", unit="image")]
-    if n_resized := sum(resized for _, resized in windows):
-        print(f"resized to 64x64: {n_resized} images")
-    images = np.stack([img for img, _ in windows])
     folders = [str(path.parent) for path in paths]
     _, sources = np.unique(folders, return_inverse=True)
-    return Dataset(images, np.array(labels), sources)
+    return Dataset(read_windows(paths, 64), np.array(labels), sources)
 
 
 def honest_split(sources):
@@ -164,7 +160,7 @@ def run_configuration(configuration, dataset, video, truth, frames):
         With the keys of the results file.
     """
     params, C = feature_params(configuration), float(configuration["C"])
-    features = np.stack([extract_features(img, params) for img in dataset.images])
+    features = extract_features(dataset.images, params)
     indices = np.arange(len(features))
     accuracies, classifiers, seconds = [], [], []
     for seed in SEEDS:
@@ -367,7 +363,7 @@ def search_grid(configuration, dataset, jobs, count):
     """
     chosen = np.linspace(0, len(dataset.labels) - 1, min(count, len(dataset.labels))).astype(int)
     params = feature_params(configuration)
-    features = np.stack([extract_features(dataset.images[i], params) for i in chosen])
+    features = extract_features(dataset.images[chosen], params)
     folds = GroupKFold(5).split(features, groups=runs(dataset.sources)[chosen])
     fit_searched(features, dataset.labels[chosen], jobs, list(folds))
 

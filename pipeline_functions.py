@@ -10,11 +10,10 @@ boxes travel as int arrays of shape (n, 4).
 from colorsys import hsv_to_rgb
 from dataclasses import dataclass
 from functools import lru_cache
-from math import gcd
+from math import ceil, gcd, prod
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
 from scipy.ndimage import find_objects, label, maximum
 from skimage.feature import hog
 
@@ -214,6 +213,9 @@ def convert_color(img, conv):
 
 # ------------------------------------------------------------------ features
 
+# One under another: few calls, and what they make stays in the cache.
+_IMAGES_PER_STRIP = 50
+
 
 def bin_spatial(img, size):
     """The image shrunk to `size` x `size` pixels, as one vector.
@@ -292,32 +294,52 @@ def get_hog_features(img, orient, pix_per_cell, cell_per_block, vis=False, featu
     return features, picture
 
 
-def extract_features(img, params):
-    """Feature vector of one image of the size of a window.
+def extract_features(images, params):
+    """Feature vectors of images of the size of a window.
 
     Parameters
     ----------
-    img : ndarray of uint8, shape (window_size, window_size, 3)
+    images : ndarray of uint8, shape (n, window_size, window_size, 3)
         RGB.
     params : FeatureParams
 
     Returns
     -------
-    features : ndarray of float32, shape (params.n_features,)
+    features : ndarray of float32, shape (n, params.n_features)
         `bin_spatial`, `color_hist` and `get_hog_features` of each channel in
         turn, of the groups that are on.
 
     Raises
     ------
     ValueError
-        The image is of another size.
+        The images are of another size.
     """
-    if img.shape[:2] != (params.window_size, params.window_size):
+    if images.shape[1:] != (params.window_size, params.window_size, 3):
         raise ValueError(
-            f"image of {img.shape[1]}x{img.shape[0]}: a window has "
-            f"{params.window_size}x{params.window_size} pixels"
+            f"images of shape {images.shape[1:]}: a window has "
+            f"{params.window_size}x{params.window_size} pixels in RGB"
         )
-    return dense_features(img, params, cells_per_step=1).ravel()
+    features = np.empty((len(images), params.n_features), np.float32)
+
+    def fill(first):
+        part = slice(first, first + _IMAGES_PER_STRIP)
+        features[part] = _strip_features(images[part], params)
+
+    side_by_side(fill, range(0, len(images), _IMAGES_PER_STRIP))
+    return features
+
+
+def _strip_features(images, params):
+    """`extract_features`, with the images one under another as a single one."""
+    cells_between = ceil(2 / params.pix_per_cell)
+    rows_between = cells_between * params.pix_per_cell
+    # The rows next to an image mirror it, so that no gradient crosses its
+    # border, as there is none at the border of an image by itself.
+    strip = np.pad(images, ((0, 0), (1, 1), (0, 0), (0, 0)), mode="reflect")
+    strip = np.pad(strip, ((0, 0), (0, rows_between - 2), (0, 0), (0, 0)))
+    strip = strip.reshape(-1, *images.shape[2:])[1:]
+    cells_per_step = params.window_size // params.pix_per_cell + cells_between
+    return dense_features(strip, params, cells_per_step)[:, 0]
 
 
 def dense_features(img, params, cells_per_step):
@@ -343,7 +365,7 @@ def dense_features(img, params, cells_per_step):
     for grid in _feature_grids(img, params, cells_per_step):
         windows = grid.windows((rows, columns))
         # Windows come first, whatever they are made of follows.
-        size = int(np.prod(windows.shape[2:]))
+        size = prod(windows.shape[2:])
         part = features[:, :, start : start + size]
         part.reshape(windows.shape, copy=False)[:] = windows
         start += size
@@ -370,7 +392,7 @@ def dense_scores(img, params, cells_per_step, weights, bias):
     scores, start = np.float32(bias), 0
     for grid in _feature_grids(img, params, cells_per_step):
         shape = grid.extent, grid.extent, grid.cells.shape[2]
-        size = int(np.prod(shape))
+        size = prod(shape)
         scores = scores + grid.products(weights[start : start + size].reshape(shape), counts)
         start += size
     return scores
@@ -400,7 +422,7 @@ class _FeatureGrid:
         y, x, depth = self.cells.strides
         strides = (y * self.step, x * self.step, y * self.spacing, x * self.spacing, depth)
         shape = (*counts, self.extent, self.extent, self.cells.shape[2])
-        return as_strided(self.cells, shape, strides, writeable=False)
+        return np.ndarray(shape, self.cells.dtype, self.cells, strides=strides)
 
     def products(self, weights, counts):
         """Sums of the products of all windows with weights of (extent, extent, depth)."""

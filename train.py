@@ -17,8 +17,8 @@ from sklearn.svm import SVC, LinearSVC
 
 from classifier import Classifier, save_classifier
 from files import find_images
-from pipeline_functions import FEATURE_PRESETS
-from training_images import extract_all
+from pipeline_functions import FEATURE_PRESETS, extract_features
+from training_images import read_windows
 
 
 def parse_arguments(arguments=None):
@@ -43,7 +43,9 @@ def parse_arguments(arguments=None):
         "cross-validation; takes hours on the full set",
     )
     parser.add_argument("--seed", type=int, default=0, help="of the shuffled 80/20 split")
-    parser.add_argument("--jobs", type=int, default=-1, help="processes; -1: one a core")
+    parser.add_argument(
+        "--jobs", type=int, default=-1, help="processes of --search; -1: one a core"
+    )
     return parser.parse_args(arguments)
 
 
@@ -106,7 +108,7 @@ def train(vehicles, non_vehicles, params, arguments):
     classifier : Classifier
     """
     start = time.perf_counter()
-    features = extract_all(vehicles + non_vehicles, params, arguments.jobs)
+    features = extract_features(read_windows(vehicles + non_vehicles, params.window_size), params)
     labels = np.repeat([1, 0], [len(vehicles), len(non_vehicles)])
     print(f"features: {features.shape[1]} each, {time.perf_counter() - start:.1f} s")
 

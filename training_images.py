@@ -1,18 +1,14 @@
-"""Features of the training images, on all cores.
-
-Apart from `train.py`, so that the worker processes start without scikit-learn,
-which takes two thirds of their start.
-"""
+"""Training images as windows: read on all cores, whatever their size."""
 
 import cv2
 import numpy as np
-from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from files import read_image
-from pipeline_functions import extract_features
+from threads import side_by_side
 
-_IMAGES_PER_TASK = 200
+# Handing over an image takes as long as a tenth of its reading.
+_IMAGES_PER_RUN = 500
 
 
 def read_window(path, window_size):
@@ -30,37 +26,31 @@ def read_window(path, window_size):
     return cv2.resize(img, (window_size, window_size), interpolation=cv2.INTER_AREA), True
 
 
-def features_of_files(paths, params):
-    """Features of image files, and which of them had to be resized.
+def read_windows(paths, window_size):
+    """Read many images as windows, with a progress bar; says how many had to be resized.
+
+    Parameters
+    ----------
+    paths : list of Path
+    window_size : int
 
     Returns
     -------
-    features : ndarray of float32, shape (len(paths), params.n_features)
-    resized : list of Path
+    images : ndarray of uint8, shape (len(paths), window_size, window_size, 3)
+        RGB.
     """
-    features = np.empty((len(paths), params.n_features), np.float32)
-    resized = []
-    for i, path in enumerate(paths):
-        img, is_resized = read_window(path, params.window_size)
-        features[i] = extract_features(img, params)
-        if is_resized:
-            resized.append(path)
-    return features, resized
+    images = np.empty((len(paths), window_size, window_size, 3), np.uint8)
+    resized = np.zeros(len(paths), bool)
+    with tqdm(total=len(paths), desc="images", unit="image") as progress:
 
+        def fill(first):
+            run = range(first, min(first + _IMAGES_PER_RUN, len(paths)))
+            for i in run:
+                images[i], resized[i] = read_window(paths[i], window_size)
+            progress.update(len(run))
 
-def extract_all(paths, params, jobs):
-    """`features_of_files` on all cores, with a progress bar."""
-    chunks = [paths[i : i + _IMAGES_PER_TASK] for i in range(0, len(paths), _IMAGES_PER_TASK)]
-    results = Parallel(n_jobs=jobs, return_as="generator")(
-        delayed(features_of_files)(chunk, params) for chunk in chunks
-    )
-    features, resized = [], []
-    with tqdm(total=len(paths), desc="features", unit="image") as progress:
-        for chunk_features, chunk_resized in results:
-            features.append(chunk_features)
-            resized += chunk_resized
-            progress.update(len(chunk_features))
-    if resized:
-        size = params.window_size
-        print(f"resized to {size}x{size}: {len(resized)} images, the first {resized[0]}")
-    return np.concatenate(features)
+        side_by_side(fill, range(0, len(paths), _IMAGES_PER_RUN))
+    if resized.any():
+        size, first = f"{window_size}x{window_size}", paths[resized.argmax()]
+        print(f"resized to {size}: {resized.sum()} images, the first {first}")
+    return images

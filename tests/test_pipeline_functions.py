@@ -12,6 +12,7 @@ from scipy.ndimage import label
 import reference
 from conftest import random_classifier, textured_image
 from pipeline_functions import (
+    _IMAGES_PER_STRIP,
     FEATURE_PRESETS,
     SEARCH_PRESETS,
     FeatureParams,
@@ -125,7 +126,7 @@ def test_presets_have_the_published_lengths():
 def test_extract_features_is_its_parts(preset):
     params = FEATURE_PRESETS[preset]
     img = textured_image(4, 64, 64)
-    features = extract_features(img, params)
+    features = extract_features(img[None], params)[0]
     assert features.shape == (params.n_features,) and features.dtype == np.float32
     converted = convert_color(img, params.hog_color)
     parts = [bin_spatial(converted, params.spatial_size)]
@@ -139,7 +140,7 @@ def test_extract_features_is_its_parts(preset):
 
 def test_extract_features_refuses_another_size():
     with pytest.raises(ValueError, match="64x64"):
-        extract_features(np.zeros((64, 65, 3), np.uint8), FEATURE_PRESETS["G"])
+        extract_features(np.zeros((1, 64, 65, 3), np.uint8), FEATURE_PRESETS["G"])
 
 
 @st.composite
@@ -182,6 +183,31 @@ def test_dense_features_equal_single_windows(params, seed, rows, columns, cells_
     expected = reference.band_features(img, params, cells_per_step)
     assert features.shape == expected.shape
     np.testing.assert_allclose(features, expected, atol=2e-6)
+
+
+@settings(max_examples=40)
+@given(params=feature_params(), seed=st.integers(0, 1000), n_images=st.integers(1, 4))
+def test_features_of_many_images_equal_those_of_each(params, seed, n_images):
+    size = params.window_size
+    images = np.stack([textured_image(seed + i, size, size) for i in range(n_images)])
+    expected = [reference.band_features(img, params, 1)[0, 0] for img in images]
+    np.testing.assert_allclose(extract_features(images, params), expected, atol=2e-6)
+
+
+@pytest.mark.parametrize("pix_per_cell", [1, 2, 8, 64])
+def test_features_of_more_images_than_a_strip_holds(pix_per_cell):
+    n_images = 2 * _IMAGES_PER_STRIP + 1
+    params = FeatureParams(hog_color="gray", pix_per_cell=pix_per_cell, cells_per_block=1)
+    images = np.stack([textured_image(i, 64, 64) for i in range(n_images)])
+    features = extract_features(images, params)
+    for i in (0, _IMAGES_PER_STRIP - 1, _IMAGES_PER_STRIP, n_images - 1):
+        expected = reference.band_features(images[i], params, 1)[0, 0]
+        np.testing.assert_allclose(features[i], expected, atol=2e-6)
+
+
+def test_features_of_no_image():
+    nothing = np.zeros((0, 64, 64, 3), np.uint8)
+    assert extract_features(nothing, FEATURE_PRESETS["B"]).shape == (0, 8460)
 
 
 @pytest.mark.parametrize("spatial_size", [1, 2, 64])

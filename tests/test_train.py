@@ -10,11 +10,11 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 
 import train
-import training_images
 from classifier import load_classifier, save_classifier
 from conftest import ROOT, random_classifier, textured_image
-from files import write_image
+from files import read_image, write_image
 from pipeline_functions import FEATURE_PRESETS, FeatureParams, extract_features
+from training_images import read_windows
 
 
 @pytest.fixture(scope="module")
@@ -55,9 +55,8 @@ def test_scaler_never_sees_the_test_part(data):
     params = FeatureParams(hist_color="RGB", hist_bins=4)
     vehicles = sorted((data / "vehicles").rglob("*.png"))
     others = sorted((data / "non-vehicles").rglob("*.png"))
-    arguments.jobs = 1
     classifier = train.train(vehicles, others, params, arguments)
-    everything, _ = training_images.features_of_files(vehicles + others, params)
+    everything = extract_features(read_windows(vehicles + others, 64), params)
     assert classifier.scaler.n_samples_seen_ == 0.8 * len(everything)
     assert not np.allclose(classifier.scaler.mean_, everything.mean(axis=0))
 
@@ -74,11 +73,27 @@ def test_grid_search_picks_a_kernel(capsys):
     assert "best:" in capsys.readouterr().out
 
 
+def test_windows_are_the_images_in_order(data):
+    paths = sorted(data.rglob("*.png"))
+    images = read_windows(paths, 64)
+    assert images.shape == (120, 64, 64, 3) and images.dtype == np.uint8
+    for img, path in zip(images, paths, strict=True):
+        np.testing.assert_array_equal(img, read_image(path))
+
+
 def test_other_sizes_are_resized_and_said(data, tmp_path, capsys):
     write_image(tmp_path / "large.png", textured_image(0, 128, 128))
-    features = training_images.extract_all([tmp_path / "large.png"], FEATURE_PRESETS["G"], jobs=1)
-    assert features.shape == (1, 2304)
-    assert "resized to 64x64: 1 images" in capsys.readouterr().out
+    paths = [*sorted((data / "vehicles").rglob("*.png")), tmp_path / "large.png"]
+    assert read_windows(paths, 64).shape == (61, 64, 64, 3)
+    said = capsys.readouterr().out
+    assert "resized to 64x64: 1 images" in said and "large.png" in said
+
+
+def test_an_unreadable_image_is_named(data, tmp_path):
+    broken = tmp_path / "broken.png"
+    broken.write_bytes(b"not an image")
+    with pytest.raises(ValueError, match="broken.png"):
+        read_windows([*sorted((data / "vehicles").rglob("*.png")), broken], 64)
 
 
 @pytest.mark.parametrize("missing", ["vehicles", "non-vehicles"])
@@ -95,7 +110,7 @@ def test_a_class_without_images_is_named(data, tmp_path, missing):
 def test_folded_weights_score_like_scaler_and_svm():
     classifier = random_classifier(FEATURE_PRESETS["G"])
     img = textured_image(5, 64, 64)
-    features = extract_features(img, classifier.params)[None]
+    features = extract_features(img[None], classifier.params)
     expected = classifier.svm.decision_function(classifier.scaler.transform(features))
     np.testing.assert_allclose(classifier.decision_function(features), expected, atol=1e-5)
 
