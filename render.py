@@ -1108,7 +1108,7 @@ class TruthBox:
     ----------
     identity : int
     box : tuple of float
-        left, top, right, bottom in pixels of the frame, cut at its border.
+        left, top, right, bottom of what can be seen of it, in pixels of the frame.
     required : bool
         In the own carriageway, at least 30 px high, at least half visible.
     visible : float
@@ -1185,14 +1185,19 @@ def _truth_boxes(world, drawn):
         inside, share = _cut(world, box)
         if share < 0.02:
             continue
-        visible = float(share) * _free_share(coverage, [nearer for _, nearer, _ in drawn[i + 1 :]])
-        required = bool(visible >= 0.5 and inside[3] - inside[1] >= 30)
-        truth.append(TruthBox(actor.identity, tuple(inside.tolist()), required, visible))
+        alpha = coverage[2]
+        free = _free_coverage(coverage, [nearer for _, nearer, _ in drawn[i + 1 :]])
+        seen = _seen_box(inside, alpha, free)
+        if seen is None:
+            continue
+        visible = float(share * free.sum() / alpha.sum())
+        required = bool(visible >= 0.5 and seen[3] - seen[1] >= 30)
+        truth.append(TruthBox(actor.identity, tuple(seen.tolist()), required, visible))
     return truth
 
 
-def _free_share(coverage, nearer_ones):
-    """How much of a coverage nearer coverages leave to be seen, 0..1."""
+def _free_coverage(coverage, nearer_ones):
+    """What nearer coverages leave to be seen of one."""
     left, top, alpha = coverage
     rows, columns = alpha.shape
     free = alpha.copy()
@@ -1207,7 +1212,29 @@ def _free_share(coverage, nearer_ones):
                 first_row + top - y : last_row + top - y, first + left - x : last + left - x
             ]
             free[first_row:last_row, first:last] *= 1 - hiding
-    return float(free.sum() / max(alpha.sum(), 1e-9))
+    return free
+
+
+def _seen_box(box, alpha, free):
+    """Box of what can be seen, from that of the whole; None if there is nothing.
+
+    Slivers beside the largest piece are left out, as by hand.
+    """
+    whole, seen = (_largest_piece(coverage > 0.5) for coverage in (alpha, free))
+    if seen is None:
+        return None
+    corner, size = np.tile(whole[:2], 2), np.tile(whole[2:] - whole[:2], 2)
+    return np.tile(box[:2], 2) + (seen - corner) / size * np.tile(box[2:] - box[:2], 2)
+
+
+def _largest_piece(mask):
+    """Box around the largest connected part of a mask, None if it is empty."""
+    _, _, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    pieces = stats[1:]
+    if not len(pieces):
+        return None
+    left, top, width, height, _ = pieces[pieces[:, cv2.CC_STAT_AREA].argmax()]
+    return np.array([left, top, left + width, top + height])
 
 
 def _ignored_boxes(world, outlines):
