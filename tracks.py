@@ -87,6 +87,8 @@ _AT_SIDE = 1 / 8
 # Share by which a box of a score of 1 or more, in clear sight then, corrects how
 # wide a vehicle is taken to be.
 _NEW_WIDTH = 0.1
+# Overlap with a track that had no box in the frame before: less sure is where it is.
+_WEIGHT_IF_MISSED = 0.5
 # A vehicle without a box is hidden if a nearer one covers this share of where it
 # is expected; of so many such frames each counts for one.
 _HIDDEN, _HIDDEN_FRAMES = 0.5, 5
@@ -304,18 +306,19 @@ class Tracker:
     def _assign(self, boxes):
         """Known track of every box or None.
 
-        Vehicles seen in the frame before choose first, then those without a
-        box for a few frames, then what is not yet a vehicle; among each, so that
-        the overlap of all together is largest. Vehicles long out of sight do not
+        Vehicles choose before what is not yet one; among each, so that the
+        overlap of all together is largest, where that with a track that had no
+        box in the frame before counts less. Vehicles long out of sight do not
         choose: where they are expected, anything may lie.
         """
         owners = [None] * len(boxes)
         choosing = [track for track in self._tracks if track.is_shown or not track.identity]
-        ranks = [(track.identity == 0, track.n_missed > 1) for track in choosing]
-        for rank in sorted(set(ranks)):
-            tracks = [t for t, own in zip(choosing, ranks, strict=True) if own == rank]
+        for are_vehicles in (True, False):
+            tracks = [track for track in choosing if (track.identity > 0) == are_vehicles]
             free = [i for i, owner in enumerate(owners) if owner is None]
-            gain = self._gain(boxes[free], tracks, rank[1], self.params.max_growth)
+            were_missed = [track.n_missed > 1 for track in tracks]
+            gain = self._gain(boxes[free], tracks, were_missed, self.params.max_growth)
+            gain *= np.where(were_missed, _WEIGHT_IF_MISSED, 1)
             for row, column in zip(*linear_sum_assignment(gain, maximize=True), strict=True):
                 if gain[row, column] > 0:
                     owners[free[row]] = tracks[column]
@@ -327,11 +330,7 @@ class Tracker:
         boxes = np.array([track.box for track in vehicles]).reshape(-1, 4)
         # Of a vehicle that comes out again, little can be seen at first.
         limit = self.params.max_growth**2
-        gain = np.where(
-            [track.is_shown for track in absent],
-            self._gain(boxes, absent, False, limit),
-            self._gain(boxes, absent, True, limit),
-        )
+        gain = self._gain(boxes, absent, [not track.is_shown for track in absent], limit)
         for row, column in zip(*linear_sum_assignment(gain, maximize=True), strict=True):
             if gain[row, column] > 0:
                 vehicles[row].identity = absent[column].identity
@@ -341,14 +340,15 @@ class Tracker:
                 self._n_identities += 1
                 vehicle.identity = self._n_identities
 
-    def _gain(self, boxes, tracks, out_of_sight, max_growth):
+    def _gain(self, boxes, tracks, are_out_of_sight, max_growth):
         """IoU of every box with every prediction, 0 where it is not the track's; shape (n, m)."""
         expected = np.array([track.box for track in tracks]).reshape(-1, 4)
         heights, own_heights = (b[:, 3] - b[:, 1] for b in (boxes, expected))
         growth = heights[:, None] / np.maximum(own_heights, 1e-9)
-        if out_of_sight:
-            boxes, expected = (_widened(b, self.params.reach) for b in (boxes, expected))
-        iou = pairwise_iou(boxes, expected)
+        wide, expected_wide = (_widened(b, self.params.reach) for b in (boxes, expected))
+        iou = np.where(
+            are_out_of_sight, pairwise_iou(wide, expected_wide), pairwise_iou(boxes, expected)
+        )
         alike = np.maximum(growth, 1 / np.maximum(growth, 1e-9)) <= max_growth
         return np.where(alike & (iou >= self.params.min_iou), iou, 0)
 

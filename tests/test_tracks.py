@@ -396,6 +396,16 @@ def test_a_hidden_vehicle_does_not_take_the_box_of_the_one_before_it():
     assert step(tracker, boxes(box_at(84))) == [1]
 
 
+def test_the_box_of_a_vehicle_after_a_gap_is_not_its_neighbours():
+    tracker = Tracker(TrackParams(miss_cost=0.1))
+    for _ in range(10):
+        assert step(tracker, boxes(box_at(90), box_at(60))) == [1, 2]
+    # One of them has a box in turn: where it lies tells whose it is.
+    assert step(tracker, boxes(box_at(90))) == [1]
+    assert step(tracker, boxes(box_at(60))) == [2]
+    assert step(tracker, boxes(box_at(90))) == [1]
+
+
 def test_expected_are_those_of_the_frame_before():
     tracker = Tracker(TrackParams(miss_cost=0.1))
     step(tracker, boxes(box_at(100), box_at(300)))
