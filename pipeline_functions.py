@@ -14,6 +14,7 @@ from math import ceil, gcd, prod
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from scipy.ndimage import find_objects, label, maximum
 from skimage.feature import hog
 
@@ -312,7 +313,7 @@ def extract_features(images, params):
     Raises
     ------
     ValueError
-        The images are of another size.
+        The images are of another size, or not uint8.
     """
     if images.shape[1:] != (params.window_size, params.window_size, 3):
         raise ValueError(
@@ -331,12 +332,14 @@ def extract_features(images, params):
 
 def _strip_features(images, params):
     """`extract_features`, with the images one under another as a single one."""
+    # The rows next to an image mirror it, so that no gradient crosses its
+    # border, as there is none at the border of an image by itself. Between two
+    # images these are two rows, and as many empty ones as fill whole cells.
     cells_between = ceil(2 / params.pix_per_cell)
     rows_between = cells_between * params.pix_per_cell
-    # The rows next to an image mirror it, so that no gradient crosses its
-    # border, as there is none at the border of an image by itself.
     strip = np.pad(images, ((0, 0), (1, 1), (0, 0), (0, 0)), mode="reflect")
     strip = np.pad(strip, ((0, 0), (0, rows_between - 2), (0, 0), (0, 0)))
+    # The row above the first image would shift all cells by one.
     strip = strip.reshape(-1, *images.shape[2:])[1:]
     cells_per_step = params.window_size // params.pix_per_cell + cells_between
     return dense_features(strip, params, cells_per_step)[:, 0]
@@ -422,7 +425,7 @@ class _FeatureGrid:
         y, x, depth = self.cells.strides
         strides = (y * self.step, x * self.step, y * self.spacing, x * self.spacing, depth)
         shape = (*counts, self.extent, self.extent, self.cells.shape[2])
-        return np.ndarray(shape, self.cells.dtype, self.cells, strides=strides)
+        return as_strided(self.cells, shape, strides, writeable=False)
 
     def products(self, weights, counts):
         """Sums of the products of all windows with weights of (extent, extent, depth)."""

@@ -1108,7 +1108,8 @@ class TruthBox:
     ----------
     identity : int
     box : tuple of float
-        left, top, right, bottom of what can be seen of it, in pixels of the frame.
+        left, top, right, bottom in pixels of the frame, cut at its border; of what nearer
+        vehicles leave to be seen, but on the other carriageway of the whole.
     required : bool
         In the own carriageway, at least 30 px high, at least half visible.
     visible : float
@@ -1182,15 +1183,12 @@ def _truth_boxes(world, drawn):
     for i, (actor, coverage, box) in enumerate(drawn):
         if box is None:
             continue
-        inside, share = _cut(world, box)
-        if share < 0.02:
-            continue
-        alpha = coverage[2]
+        share = _cut(world, box)[1]
         free = _free_coverage(coverage, [nearer for _, nearer, _ in drawn[i + 1 :]])
-        seen = _seen_box(inside, alpha, free)
-        if seen is None:
+        seen, seen_share = _cut(world, _seen_box(world.camera, box, coverage, free))
+        if min(share, seen_share) < 0.02:
             continue
-        visible = float(share * free.sum() / alpha.sum())
+        visible = float(share * free.sum() / coverage[2].sum())
         required = bool(visible >= 0.5 and seen[3] - seen[1] >= 30)
         truth.append(TruthBox(actor.identity, tuple(seen.tolist()), required, visible))
     return truth
@@ -1215,24 +1213,28 @@ def _free_coverage(coverage, nearer_ones):
     return free
 
 
-def _seen_box(box, alpha, free):
-    """Box of what can be seen, from that of the whole; None if there is nothing.
+def _seen_box(camera, box, coverage, free):
+    """Box of what can be seen of a vehicle, from that of the whole; empty if nothing can.
 
+    Edges in sight stay exact, only hidden ones are taken from the picture.
     Slivers beside the largest piece are left out, as by hand.
     """
-    whole, seen = (_largest_piece(coverage > 0.5) for coverage in (alpha, free))
-    if seen is None:
-        return None
-    corner, size = np.tile(whole[:2], 2), np.tile(whole[2:] - whole[:2], 2)
-    return np.tile(box[:2], 2) + (seen - corner) / size * np.tile(box[2:] - box[:2], 2)
+    left, top, alpha = coverage
+    whole, seen = (_largest_piece(part > 0.5) for part in (alpha, free))
+    x, y = (seen[:2] + seen[2:]) / 2
+    edges = np.array([(seen[0], y), (x, seen[1]), (seen[2], y), (x, seen[3])])
+    rays = (edges + (left, top) + _lens(camera)[1] - camera.center) / camera.focal
+    pixels = camera.project(np.column_stack([rays, np.ones(4)]))
+    return np.where(seen == whole, box, pixels[range(4), (0, 1, 0, 1)])
 
 
 def _largest_piece(mask):
-    """Box around the largest connected part of a mask, None if it is empty."""
+    """Box around the largest connected part of a mask, shape (4,); zeros if it is empty."""
     _, _, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    # The first is the ground of all others.
     pieces = stats[1:]
     if not len(pieces):
-        return None
+        return np.zeros(4, int)
     left, top, width, height, _ = pieces[pieces[:, cv2.CC_STAT_AREA].argmax()]
     return np.array([left, top, left + width, top + height])
 

@@ -87,7 +87,7 @@ _AT_SIDE = 1 / 8
 # Share by which a box of a score of 1 or more, in clear sight then, corrects how
 # wide a vehicle is taken to be.
 _NEW_WIDTH = 0.1
-# Overlap with a track that had no box in the frame before: less sure is where it is.
+# Of the overlap with a track that had no box in the frame before: where it is, is less sure.
 _WEIGHT_IF_MISSED = 0.5
 # A vehicle without a box is hidden if a nearer one covers this share of where it
 # is expected; of so many such frames each counts for one.

@@ -38,6 +38,11 @@ def read_windows(paths, window_size):
     -------
     images : ndarray of uint8, shape (len(paths), window_size, window_size, 3)
         RGB.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        See `files.read_image`; names the file.
     """
     images = np.empty((len(paths), window_size, window_size, 3), np.uint8)
     resized = np.zeros(len(paths), bool)

@@ -10,6 +10,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 
 import train
+import training_images
 from classifier import load_classifier, save_classifier
 from conftest import ROOT, random_classifier, textured_image
 from files import read_image, write_image
@@ -73,7 +74,13 @@ def test_grid_search_picks_a_kernel(capsys):
     assert "best:" in capsys.readouterr().out
 
 
-def test_windows_are_the_images_in_order(data):
+@pytest.fixture
+def short_runs(monkeypatch):
+    """Images are read in so many runs that all threads have some."""
+    monkeypatch.setattr(training_images, "_IMAGES_PER_RUN", 7)
+
+
+def test_windows_are_the_images_in_order(data, short_runs):
     paths = sorted(data.rglob("*.png"))
     images = read_windows(paths, 64)
     assert images.shape == (120, 64, 64, 3) and images.dtype == np.uint8
@@ -89,11 +96,14 @@ def test_other_sizes_are_resized_and_said(data, tmp_path, capsys):
     assert "resized to 64x64: 1 images" in said and "large.png" in said
 
 
-def test_an_unreadable_image_is_named(data, tmp_path):
+@pytest.mark.parametrize("place", [0, 30, 60])
+def test_an_unreadable_image_is_named(data, tmp_path, short_runs, place):
     broken = tmp_path / "broken.png"
     broken.write_bytes(b"not an image")
+    paths = sorted((data / "vehicles").rglob("*.png"))
+    paths.insert(place, broken)
     with pytest.raises(ValueError, match="broken.png"):
-        read_windows([*sorted((data / "vehicles").rglob("*.png")), broken], 64)
+        read_windows(paths, 64)
 
 
 @pytest.mark.parametrize("missing", ["vehicles", "non-vehicles"])
