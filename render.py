@@ -1108,8 +1108,8 @@ class TruthBox:
     ----------
     identity : int
     box : tuple of float
-        left, top, right, bottom in pixels of the frame, cut at its border; of what nearer
-        vehicles leave to be seen, but on the other carriageway of the whole.
+        left, top, right, bottom of the whole vehicle, also of what nearer ones hide, in
+        pixels of the frame, cut at its border.
     required : bool
         In the own carriageway, at least 30 px high, at least half visible.
     visible : float
@@ -1183,19 +1183,17 @@ def _truth_boxes(world, drawn):
     for i, (actor, coverage, box) in enumerate(drawn):
         if box is None:
             continue
-        share = _cut(world, box)[1]
-        free = _free_coverage(coverage, [nearer for _, nearer, _ in drawn[i + 1 :]])
-        seen, seen_share = _cut(world, _seen_box(world.camera, box, coverage, free))
-        if min(share, seen_share) < 0.02:
+        inside, share = _cut(world, box)
+        if share < 0.02:
             continue
-        visible = float(share * free.sum() / coverage[2].sum())
-        required = bool(visible >= 0.5 and seen[3] - seen[1] >= 30)
-        truth.append(TruthBox(actor.identity, tuple(seen.tolist()), required, visible))
+        visible = float(share) * _free_share(coverage, [nearer for _, nearer, _ in drawn[i + 1 :]])
+        required = bool(visible >= 0.5 and inside[3] - inside[1] >= 30)
+        truth.append(TruthBox(actor.identity, tuple(inside.tolist()), required, visible))
     return truth
 
 
-def _free_coverage(coverage, nearer_ones):
-    """What nearer coverages leave to be seen of one."""
+def _free_share(coverage, nearer_ones):
+    """How much of a coverage nearer coverages leave to be seen, 0..1."""
     left, top, alpha = coverage
     rows, columns = alpha.shape
     free = alpha.copy()
@@ -1210,33 +1208,7 @@ def _free_coverage(coverage, nearer_ones):
                 first_row + top - y : last_row + top - y, first + left - x : last + left - x
             ]
             free[first_row:last_row, first:last] *= 1 - hiding
-    return free
-
-
-def _seen_box(camera, box, coverage, free):
-    """Box of what can be seen of a vehicle, from that of the whole; empty if nothing can.
-
-    Edges in sight stay exact, only hidden ones are taken from the picture.
-    Slivers beside the largest piece are left out, as by hand.
-    """
-    left, top, alpha = coverage
-    whole, seen = (_largest_piece(part > 0.5) for part in (alpha, free))
-    x, y = (seen[:2] + seen[2:]) / 2
-    edges = np.array([(seen[0], y), (x, seen[1]), (seen[2], y), (x, seen[3])])
-    rays = (edges + (left, top) + _lens(camera)[1] - camera.center) / camera.focal
-    pixels = camera.project(np.column_stack([rays, np.ones(4)]))
-    return np.where(seen == whole, box, pixels[range(4), (0, 1, 0, 1)])
-
-
-def _largest_piece(mask):
-    """Box around the largest connected part of a mask, shape (4,); zeros if it is empty."""
-    _, _, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    # The first is the ground of all others.
-    pieces = stats[1:]
-    if not len(pieces):
-        return np.zeros(4, int)
-    left, top, width, height, _ = pieces[pieces[:, cv2.CC_STAT_AREA].argmax()]
-    return np.array([left, top, left + width, top + height])
+    return float(free.sum() / max(alpha.sum(), 1e-9))
 
 
 def _ignored_boxes(world, outlines):
