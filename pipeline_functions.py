@@ -323,6 +323,7 @@ def extract_features(images, params):
     features = np.empty((len(images), params.n_features), np.float32)
 
     def fill(first):
+        """Describe the images of the strip that begins here."""
         part = slice(first, first + _IMAGES_PER_STRIP)
         features[part] = _strip_features(images[part], params)
 

@@ -49,6 +49,7 @@ def read_windows(paths, window_size):
     with tqdm(total=len(paths), desc="images", unit="image") as progress:
 
         def fill(first):
+            """Read the run of images that begins here."""
             run = range(first, min(first + _IMAGES_PER_RUN, len(paths)))
             for i in run:
                 images[i], resized[i] = read_window(paths[i], window_size)
