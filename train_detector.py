@@ -16,6 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from scipy.linalg import block_diag
+from sklearn.cluster import KMeans
 from sklearn.decomposition import PCA
 from sklearn.kernel_approximation import Nystroem
 from sklearn.linear_model import Ridge
@@ -67,6 +68,9 @@ _SURE = 0.5
 # details than where its edges are, but there are more places for edges.
 _SCORER_SIZE = 120, 2000
 _REGRESSOR_SIZE = 60, 3000
+# The regressor's components are found among so many principal ones, by gradients
+# at so many patches.
+_N_PRINCIPAL, _N_GRADIENTS = 600, 12_000
 
 
 @dataclass(frozen=True)
@@ -571,32 +575,76 @@ def apply_components(features, projection, offset, n_rows=5000):
     return np.concatenate([part.astype(np.float32) @ projection.T + offset for part in parts])
 
 
-def fit_kernel(features, n_components, n_centers, rng):
-    """Components of all samples, some of them as centers, and a width that suits them.
-
-    Returns
-    -------
-    projection, offset, components, centers : ndarray of float32
-    gamma : float
-        One by the sum of the variances, scikit-learn's "scale".
-    """
-    projection, offset = fit_components(features, n_components, rng)
-    components = apply_components(features, projection, offset)
-    gamma = float(1 / components[:, :n_components].var(axis=0).sum())
-    centers = components[rng.permutation(len(components))[:n_centers]]
-    return projection, offset, components, centers, gamma
-
-
 def fit_regressor(features, shifts, rng, alpha=1.0):
-    """Ridge regression on Gaussians around some of the samples."""
-    projection, offset, components, centers, gamma = fit_kernel(features, *_REGRESSOR_SIZE, rng)
-    ridge = Ridge(alpha=alpha, solver="cholesky").fit(
-        rbf_kernel(components.astype(float), centers.astype(float), gamma), shifts
-    )
+    """Ridge regression on Gaussians around some of the samples, fitted twice.
+
+    First on many principal components, the directions along which patches differ
+    most; then on those few along which the first fit changes most, for they say
+    where the edges are: what colour a vehicle has does not.
+
+    References
+    ----------
+    .. [1] A. Radhakrishnan, D. Beaglehole, P. Pandit and M. Belkin, "Mechanism
+           for feature learning in neural networks and backpropagation-free
+           machine learning models", Science 383, 2024.
+    """
+    n_components, n_centers = _REGRESSOR_SIZE
+    n_principal = min(_N_PRINCIPAL, len(features), features.shape[1] - N_BORDERS)
+    projection, offset = fit_components(features, max(n_components, n_principal), rng)
+    components = apply_components(features, projection, offset)
+    chosen = rng.permutation(len(components))
+    centers = components[chosen[:n_centers]]
+    first, gamma = fit_ridge(components, centers, shifts, alpha)
+    some = components[chosen[:_N_GRADIENTS]]
+    directions = steepest_directions(some, centers, first.coef_, gamma, n_components)
+    components, centers = components @ directions.T, centers @ directions.T
+    ridge, gamma = fit_ridge(components, centers, shifts, alpha)
     # One row after the other, as they are multiplied.
     weights = ridge.coef_.astype(np.float32, order="C")
     bias = ridge.intercept_.astype(np.float32)
-    return KernelMachine(projection, offset, centers, weights, bias, gamma)
+    return KernelMachine(
+        directions @ projection, directions @ offset, centers, weights, bias, gamma
+    )
+
+
+def fit_ridge(components, centers, targets, alpha):
+    """Ridge regression on Gaussians, and their gamma: one by the sum of the variances."""
+    gamma = float(1 / components.var(axis=0).sum())
+    kernel = rbf_kernel(components.astype(float), centers.astype(float), gamma)
+    return Ridge(alpha=alpha, solver="cholesky").fit(kernel, targets), gamma
+
+
+def steepest_directions(components, centers, weights, gamma, count, power=0.35):
+    """Directions in which f(x) = sum_i weights_i exp(-gamma |x - centers_i|^2) changes most.
+
+    Parameters
+    ----------
+    components : ndarray, shape (n, n_components)
+        Where to look at f.
+    centers : ndarray, shape (n_centers, n_components)
+    weights : ndarray, shape (n_outputs, n_centers)
+    gamma : float
+    count : int
+    power : float
+        Of the eigenvalues. 1/2 would give the gradients' own lengths, and leave too
+        little of all directions but the steepest.
+
+    Returns
+    -------
+    directions : ndarray of float32, shape (count, n_components)
+        Eigenvectors of the sum of the gradients' outer products, the steepest first
+        and of length 1, the others as much shorter as their eigenvalues are smaller.
+    """
+    kernel = rbf_kernel(components, centers, gamma)
+    outer = np.zeros((components.shape[1],) * 2)
+    for own in weights:
+        pull = kernel * own
+        gradients = pull @ centers - pull.sum(axis=1, keepdims=True) * components
+        outer += gradients.T @ gradients
+    values, vectors = np.linalg.eigh(outer)
+    values, vectors = values[::-1][:count], vectors[:, ::-1][:, :count]
+    lengths = np.maximum(values / values[0], 0) ** power
+    return (vectors * lengths).T.astype(np.float32)
 
 
 def patch_samples(item, templates, regressor, scorer=None):
@@ -684,18 +732,27 @@ def train_scorer(training_set, templates, regressor, seed, jobs, rounds=1):
 
 
 def fit_scorer(features, labels, rng, C=1.0):
-    """Linear SVM on the map that approximates an RBF kernel by some of the samples.
+    """Linear SVM on the map that approximates an RBF kernel by clusters of the samples.
 
     A kernel SVM on as many samples would keep thousands of support vectors,
-    and each costs time in every frame.
+    and each costs time in every frame. As many clusters are of vehicles as of
+    anything else.
 
     References
     ----------
     .. [1] C. Williams and M. Seeger, "Using the Nystroem Method to Speed Up
            Kernel Machines", NIPS 2000.
+    .. [2] K. Zhang, I. Tsang and J. Kwok, "Improved Nystroem Low-Rank
+           Approximation and Error Analysis", ICML 2008.
     """
     print(f"patches: {len(labels)}, {labels.mean():.0%} vehicles")
-    projection, offset, components, centers, gamma = fit_kernel(features, *_SCORER_SIZE, rng)
+    n_components, n_centers = _SCORER_SIZE
+    projection, offset = fit_components(features, n_components, rng)
+    components = apply_components(features, projection, offset)
+    gamma = float(1 / components[:, :n_components].var(axis=0).sum())
+    centers = np.concatenate(
+        [cluster_centers(components[labels == label], n_centers // 2) for label in (0, 1)]
+    )
     nystroem = Nystroem(gamma=gamma, n_components=len(centers), random_state=0).fit(centers)
     mapped = nystroem.transform(components).astype(np.float32)
     svm = LinearSVC(C=C, dual=False, class_weight="balanced", max_iter=200).fit(mapped, labels)
@@ -703,6 +760,14 @@ def fit_scorer(features, labels, rng, C=1.0):
     centers = nystroem.components_.astype(np.float32)
     bias = svm.intercept_.astype(np.float32)
     return KernelMachine(projection, offset, centers, weights, bias, gamma)
+
+
+def cluster_centers(components, count):
+    """Centers of clusters, or the samples themselves if they are fewer; shape (n, n_components)."""
+    if len(components) <= count:
+        return components
+    clusters = KMeans(count, init="random", max_iter=10, random_state=0).fit(components)
+    return clusters.cluster_centers_
 
 
 def train_detector(training_set, seed=0, jobs=-1):

@@ -20,6 +20,7 @@ from tracks import pairwise_iou, pairwise_overlap
 from train_detector import (
     Example,
     best_iou,
+    cluster_centers,
     cut_by_border,
     fit_regressor,
     fit_scorer,
@@ -34,6 +35,7 @@ from train_detector import (
     random_crop,
     random_parts,
     read_footage,
+    steepest_directions,
     window_features,
 )
 from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
@@ -202,6 +204,59 @@ def test_regressor_and_scorer_learn_what_is_not_linear():
     labels = (radius > 1.2).astype(int)
     scorer = fit_scorer(features[:1000], labels[:1000], np.random.default_rng(1))
     assert ((scorer.predict(features[1000:])[:, 0] > 0) == labels[1000:]).mean() > 0.9
+
+
+def test_regressor_looks_past_what_differs_more():
+    rng = np.random.default_rng(2)
+    features = rng.normal(size=(3000, 204)) * np.linspace(3, 1, 204)
+    # Scaled they are all alike: no principal component is that which decides.
+    angle = features[:, 7] / features[:, 7].std()
+    shifts = np.stack([np.sin(angle), np.cos(angle)], axis=1) / 5
+    machine = fit_regressor(
+        features[:2500].astype(np.float32), shifts[:2500], np.random.default_rng(1)
+    )
+    assert machine.projection.shape == (60, 204)
+    error = machine.predict(features[2500:].astype(np.float32)) - shifts[2500:]
+    assert np.abs(error).mean() < 0.5 * np.abs(shifts[2500:] - shifts.mean(axis=0)).mean()
+
+
+def gaussians(x, centers, weights, gamma):
+    """sum_i weights_i exp(-gamma |x - centers_i|^2), shape (n, n_outputs)."""
+    distances = ((x[:, None] - centers[None]) ** 2).sum(axis=2)
+    return np.exp(-gamma * distances) @ weights.T
+
+
+@given(seed=st.integers(0, 1000))
+def test_steepest_directions_are_those_of_differences(seed):
+    rng = np.random.default_rng(seed)
+    x, centers, weights = (rng.normal(size=shape) for shape in ((30, 5), (12, 5), (2, 12)))
+    step = 1e-5
+    slopes = [
+        gaussians(x + step * axis, centers, weights, 0.2)
+        - gaussians(x - step * axis, centers, weights, 0.2)
+        for axis in np.eye(5)
+    ]
+    slopes = np.stack(slopes, axis=-1) / (2 * step)
+    outer = np.einsum("noi,noj->ij", slopes, slopes)
+    directions = steepest_directions(x, centers, weights, 0.2, 3, power=0.4)
+    assert directions.shape == (3, 5) and directions.dtype == np.float32
+    lengths = np.linalg.norm(directions, axis=1)
+    values = np.linalg.eigvalsh(outer)[::-1][:3]
+    np.testing.assert_allclose(lengths, (values / values[0]) ** 0.4, rtol=1e-3)
+    units = directions / lengths[:, None]
+    np.testing.assert_allclose(outer @ units.T, units.T * values, atol=1e-3 * values[0])
+
+
+def test_clusters_or_the_samples_themselves():
+    rng = np.random.default_rng(0)
+    middles = np.array([(0, 0), (10, 0), (0, 10)])
+    samples = (middles[:, None] + rng.normal(0, 0.1, size=(3, 200, 2))).reshape(-1, 2)
+    centers = cluster_centers(samples, 60)
+    assert centers.shape == (60, 2)
+    to_middle = np.linalg.norm(centers[:, None] - middles[None], axis=2)
+    assert to_middle.min(axis=1).max() < 0.5
+    assert set(to_middle.argmin(axis=1).tolist()) == {0, 1, 2}
+    np.testing.assert_array_equal(cluster_centers(samples[:50], 60), samples[:50])
 
 
 # ---------------------------------------------------------------- end to end
