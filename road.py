@@ -21,6 +21,8 @@ _USUAL = 0.8
 _WEIGHT_OF_USUAL = 1 / 80
 # Vehicles differ so much in h / H; what differs more weighs less.
 _SPREAD = 0.15
+# Height of a lorry by that of a car: roads let pass up to four metres or little more.
+_HIGHEST = 3
 # What a car may be lower than most, in heights of the camera by its own; and how
 # far bumps may take it, as a share of the frame's rows.
 _SLACK, _BUMP = 0.1, 0.01
@@ -77,8 +79,8 @@ def fit_road(boxes):
 def stand_on_road(boxes, road, n_rows):
     """Which boxes could frame a vehicle that stands on the road.
 
-    Lorries are up to four times as high as cars; signs and bridges have their
-    bottom above the horizon.
+    Lorries are up to three times as high as cars; signs and bridges have their
+    bottom above the horizon, or not far enough below.
 
     Parameters
     ----------
@@ -92,7 +94,7 @@ def stand_on_road(boxes, road, n_rows):
     standing : ndarray of bool, shape (n,)
     """
     below = boxes[:, 3] - road.horizon + _BUMP * n_rows
-    return below > road.camera_to_car / 4 * (boxes[:, 3] - boxes[:, 1])
+    return below > road.camera_to_car / _HIGHEST * (boxes[:, 3] - boxes[:, 1])
 
 
 def lowness(boxes, road, n_rows):

@@ -44,8 +44,8 @@ _SAME_IOU = 0.6
 _SMALLER = np.array([1, 1, -1, -1]) / 8
 # Where two boxes are rivals, the one that goes on with a track is believed more.
 _TRUST_IN_TRACKS = 0.5
-# Only vehicles tell where the road is, and they do so from some fifty boxes on.
-_ENOUGH_SEEN, _MOST_SEEN = 50, 500
+# Only vehicles tell where the road is, and they do so from some twenty boxes on.
+_ENOUGH_SEEN, _MOST_SEEN = 20, 500
 # What a box's score loses for being lower than a car where it stands.
 _COST_OF_LOWNESS = 3
 

@@ -50,6 +50,10 @@ def test_a_sign_above_the_horizon_stands_on_no_road():
     )
     assert stand_on_road(boxes, Road(410.0, 0.8), 1000).tolist() == [True, False, False, False]
     assert stand_on_road(boxes, Road(400.0, 0.8), 1000).tolist() == [True, True, False, False]
+    # Three times as high as a car where it stands, and a little more.
+    high = np.array([(0, 303, 60, 418), (0, 297, 60, 418)], float)
+    assert stand_on_road(high, Road(398.0, 0.8), 1000).tolist() == [False, False]
+    assert stand_on_road(high, Road(397.0, 0.8), 1000).tolist() == [True, False]
     # From twice as high up, the ground is twice as far below the horizon.
     assert stand_on_road(boxes, Road(400.0, 1.6), 1000).tolist() == [True, False, False, False]
     # In larger pictures, bumps are larger.
