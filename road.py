@@ -19,6 +19,10 @@ import numpy as np
 # against all vehicles together: as much as one in eighty of them.
 _USUAL = 0.8
 _WEIGHT_OF_USUAL = 1 / 80
+# Where a road may vanish that no vehicle has told of yet, as a share of the frame's
+# rows: hardly any camera looks farther down, and where one does, cars higher than a
+# twentieth of the frame still stand on that road.
+_USUAL_HORIZON = 0.46
 # Vehicles differ so much in h / H; what differs more weighs less.
 _SPREAD = 0.15
 # Height of a lorry by that of a car: roads let pass up to four metres or little more.
@@ -42,6 +46,11 @@ class Road:
 
     horizon: float
     camera_to_car: float
+
+
+def usual_road(n_rows):
+    """What to take for the road of a frame of `n_rows` before any vehicle tells of it."""
+    return Road(_USUAL_HORIZON * n_rows, _USUAL)
 
 
 def fit_road(boxes):

@@ -24,7 +24,7 @@ from detector import (
     propose,
 )
 from pipeline_functions import draw_boxes, draw_vehicles
-from road import fit_road, lowness, stand_on_road
+from road import fit_road, lowness, stand_on_road, usual_road
 from tracks import Tracker, TrackParams, pairwise_iou
 from viewer import Viewer
 
@@ -154,8 +154,8 @@ class Vehicle(Viewer):
         looked_at = np.concatenate([expected, absent, proposals[fresh]])
         boxes, scores = look_closer(rgb_frame, looked_at, self.detector)
         plausible = are_plausible(boxes, rgb_frame.shape, self.scan)
+        plausible &= stand_on_road(boxes, road or usual_road(len(rgb_frame)), len(rgb_frame))
         if road is not None:
-            plausible &= stand_on_road(boxes, road, len(rgb_frame))
             # Of what the border cuts, only the bonnet may be in sight.
             whole = 1 - margins_outside(boxes, rgb_frame.shape).max(axis=1)
             scores = scores - _COST_OF_LOWNESS * whole * lowness(boxes, road, len(rgb_frame))

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from road import Road, fit_road, lowness, stand_on_road
+from road import Road, fit_road, lowness, stand_on_road, usual_road
 
 
 def cars(rng, count, horizon, camera_to_car, heights=(30, 200)):
@@ -58,6 +58,20 @@ def test_a_sign_above_the_horizon_stands_on_no_road():
     assert stand_on_road(boxes, Road(400.0, 1.6), 1000).tolist() == [True, False, False, False]
     # In larger pictures, bumps are larger.
     assert stand_on_road(boxes, Road(410.0, 0.8), 2000).tolist() == [True, True, False, False]
+
+
+@given(
+    horizon=st.floats(0.42, 0.62), height=st.floats(0.057, 0.3), n_rows=st.sampled_from([360, 1080])
+)
+def test_cars_stand_on_the_usual_road_whatever_the_camera(horizon, height, n_rows):
+    bottom = horizon + 0.8 * height
+    box = n_rows * np.array([(0, bottom - height, 0.1, bottom)])
+    assert stand_on_road(box, usual_road(n_rows), n_rows).tolist() == [True]
+
+
+def test_trees_above_the_usual_horizon_stand_on_no_road():
+    trees = np.array([(100.0, 270, 160, 331), (500, 225, 560, 335)])
+    assert stand_on_road(trees, usual_road(720), 720).tolist() == [False, False]
 
 
 def test_half_a_car_is_too_low_where_it_stands():

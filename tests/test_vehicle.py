@@ -100,8 +100,10 @@ def test_reset_forgets(path):
 
 
 def test_known_vehicles_tell_where_others_may_stand(path, monkeypatch):
-    # A car, the lower half of one, and a sign, all scored alike.
-    boxes = np.array([(20, 52, 76, 92), (120, 72, 150, 92), (220, 20, 260, 50)], float)
+    # A car, the lower half of one, a sign, and another far above, all scored alike.
+    boxes = np.array(
+        [(20, 92, 76, 132), (120, 112, 150, 132), (220, 60, 260, 90), (220, 10, 260, 40)], float
+    )
     searched = []
 
     def propose(_, levels, *__):
@@ -109,17 +111,18 @@ def test_known_vehicles_tell_where_others_may_stand(path, monkeypatch):
         return boxes, None
 
     monkeypatch.setattr("vehicle.propose", propose)
-    monkeypatch.setattr("vehicle.look_closer", lambda _, found, __: (found, np.full(3, 3.0)))
+    monkeypatch.setattr("vehicle.look_closer", lambda _, found, __: (found, np.full(4, 3.0)))
     vehicle = Vehicle(None, path, STILL_SCAN, TrackParams(birth=100, most_evidence=100))
     (frame,) = frames(1)
     before = vehicle.detect(frame)
+    np.testing.assert_array_equal(before.candidates, boxes[:3])
     np.testing.assert_array_equal(before.candidate_scores, [3, 3, 3])
     vehicle.reset()
     vehicle._seen.extend(60 * [boxes[0]])
     after = vehicle.detect(frame)
-    # The road vanishes in row 60, and cars are as high as 5 / 4 of what they are below it.
+    # The road vanishes in row 100, and cars are as high as 5 / 4 of what they are below it.
     np.testing.assert_array_equal(after.candidates, boxes[:2])
-    excess = (92 - 60 - 1.8) / 20 - 0.8 - 0.1
+    excess = (132 - 100 - 1.8) / 20 - 0.8 - 0.1
     np.testing.assert_allclose(after.candidate_scores, [3, 3 - 3 * excess])
     assert searched[1] < 0.9 * searched[0]
 
