@@ -1108,8 +1108,8 @@ class TruthBox:
     ----------
     identity : int
     box : tuple of float
-        left, top, right, bottom of the whole vehicle, also of what nearer ones hide, in
-        pixels of the frame, cut at its border.
+        left, top, right, bottom in pixels of the frame: of all of the vehicle that lies
+        within the frame, also of what nearer ones hide.
     required : bool
         In the own carriageway, at least 30 px high, at least half visible.
     visible : float
@@ -1154,7 +1154,7 @@ def render(world, time):
     _draw_rails(view, picture)
     drawn = [(arguments[0], *draw(view, picture, *arguments)) for _, draw, arguments in near]
     oncoming = [(a, _outline(view, a, time)) for a in world.actors if a.oncoming]
-    truth = _truth_boxes(world, drawn) + _ignored_boxes(world, oncoming)
+    truth = _truth_boxes(view, drawn) + _ignored_boxes(world, oncoming)
     return _sensor(world, picture, time), truth
 
 
@@ -1177,19 +1177,36 @@ def _cut(world, box):
     return inside, left / max(whole, 1e-9)
 
 
-def _truth_boxes(world, drawn):
+def _truth_boxes(view, drawn):
     """Truth of the own carriageway, from (actor, coverage, box), far ones first."""
     truth = []
     for i, (actor, coverage, box) in enumerate(drawn):
         if box is None:
             continue
-        inside, share = _cut(world, box)
-        if share < 0.02:
+        inside, share = _cut(view.world, box)
+        if share < 1:
+            inside = np.clip(inside, *_extent(view, coverage))
+        if share < 0.02 or not (inside[:2] < inside[2:]).all():
             continue
         visible = float(share) * _free_share(coverage, [nearer for _, nearer, _ in drawn[i + 1 :]])
         required = bool(visible >= 0.5 and inside[3] - inside[1] >= 30)
         truth.append(TruthBox(actor.identity, tuple(inside.tolist()), required, visible))
     return truth
+
+
+def _extent(view, coverage):
+    """Least and largest edges of a box around what lies within the frame of a vehicle.
+
+    What the border cuts off of it is nearer, and reaches farther up and down, than the rest.
+    """
+    left, top, alpha = coverage
+    picture = np.zeros(view.size[::-1], np.float32)
+    picture[top : top + alpha.shape[0], left : left + alpha.shape[1]] = alpha
+    covered = through_lens(view.world.camera, picture) > 0.5
+    columns, rows = (np.flatnonzero(covered.any(axis=axis)) for axis in (0, 1))
+    if not len(columns):
+        return np.zeros(4), np.zeros(4)
+    return (columns[0], rows[0]) * 2, (columns[-1] + 1, rows[-1] + 1) * 2
 
 
 def _free_share(coverage, nearer_ones):

@@ -6,7 +6,7 @@ import pytest
 from classifier import load_classifier
 from conftest import ROOT
 from pipeline_functions import SearchParams, find_cars
-from render import BODIES, Actor, Camera, make_world, render
+from render import BODIES, Actor, Camera, View, _actor_mesh, make_world, render
 from sample_data import cut_scene, driving_world, random_scene, truth_rows
 
 
@@ -35,6 +35,25 @@ def test_truth_box_is_where_the_vehicle_is_drawn(kind, distance, lane):
     assert columns.min() < left + 0.06 * (right - left) + 3 or left == 0
     assert columns.max() > right - 0.06 * (right - left) - 4 or right == 1280
     assert rows.min() < top + 0.12 * (bottom - top) + 3
+
+
+@pytest.mark.parametrize("kind", list(BODIES))
+@pytest.mark.parametrize("distance, side", [(2, 1), (3.5, -1), (6, 1), (7, -1)])
+def test_box_of_a_vehicle_at_the_border_is_that_of_what_lies_within_the_frame(kind, distance, side):
+    empty = make_world(3)
+    actor = Actor(1, kind, (1.0, 0.0, 1.0), distance, 0.0, empty.own_lane + side)
+    world = make_world(3, [actor])
+    (box,) = render(world, 0.0)[1]
+    corners = _actor_mesh(View.of(world, 0.0), actor, 0.0)[0]
+    corners = corners[corners[:, :, 2].min(axis=1) > 1]
+    # Points all along the sides of the triangles.
+    points = np.linspace(corners, np.roll(corners, 1, axis=1), 200).reshape(-1, 3)
+    pixels = View.of(world, 0.0).distorted(*points.T)
+    within = pixels[((pixels >= 0) & (pixels <= (1280, 720))).all(axis=1)]
+    np.testing.assert_allclose(box.box, [*within.min(axis=0), *within.max(axis=0)], atol=2.5)
+    if distance == 2:
+        # What is beside the camera and out of sight reaches farther down.
+        assert pixels[:, 1].max() > box.box[3] + 15
 
 
 def test_nearer_vehicle_hides_the_one_behind():
