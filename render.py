@@ -1203,10 +1203,8 @@ def _extent(view, coverage):
     picture = np.zeros(view.size[::-1], np.float32)
     picture[top : top + alpha.shape[0], left : left + alpha.shape[1]] = alpha
     covered = through_lens(view.world.camera, picture) > 0.5
-    columns, rows = (np.flatnonzero(covered.any(axis=axis)) for axis in (0, 1))
-    if not len(columns):
-        return np.zeros(4), np.zeros(4)
-    return (columns[0], rows[0]) * 2, (columns[-1] + 1, rows[-1] + 1) * 2
+    left, top, columns, rows = cv2.boundingRect(covered.astype(np.uint8))
+    return (left, top) * 2, (left + columns, top + rows) * 2
 
 
 def _free_share(coverage, nearer_ones):
