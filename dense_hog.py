@@ -67,11 +67,9 @@ def hog_blocks(img, orientations, pix_per_cell, cells_per_block):
     ValueError
         The image is not three-dimensional uint8, or is smaller than a block.
     """
-    if img.ndim != 3 or img.dtype != np.uint8:
-        raise ValueError(f"HOG needs uint8 channels, not {img.dtype} of shape {img.shape}")
-    if min(img.shape[:2]) < max(3, pix_per_cell * cells_per_block):
+    if min(img.shape[:2]) < pix_per_cell * cells_per_block:
         raise ValueError(f"an image of {img.shape} is smaller than one HOG block")
-    cells = _cell_histograms(img, orientations, pix_per_cell)
+    cells = cell_histograms(img, orientations, pix_per_cell)
     channels, rows, columns, _ = cells.shape
     rows, columns = rows - cells_per_block + 1, columns - cells_per_block + 1
     size = cells_per_block, cells_per_block
@@ -81,8 +79,31 @@ def hog_blocks(img, orientations, pix_per_cell, cells_per_block):
     return blocks
 
 
-def _cell_histograms(img, orientations, pix_per_cell):
-    """Mean gradient magnitude, float32, shape (channels, cell rows, cell columns, bins)."""
+def cell_histograms(img, orientations, pix_per_cell):
+    """Gradients of every cell by orientation, as they are before blocks normalise them.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, channels)
+        At least one cell high and wide, and at least 3 x 3 pixels.
+    orientations, pix_per_cell : int
+        See `hog_blocks`.
+
+    Returns
+    -------
+    histograms : ndarray of float32, shape (channels, cell rows, cell columns, orientations)
+        Sums of the magnitudes of the gradients of square roots of pixels, by
+        the number of pixels of a cell.
+
+    Raises
+    ------
+    ValueError
+        The image is not three-dimensional uint8, or is smaller than a cell.
+    """
+    if img.ndim != 3 or img.dtype != np.uint8:
+        raise ValueError(f"HOG needs uint8 channels, not {img.dtype} of shape {img.shape}")
+    if min(img.shape[:2]) < max(3, pix_per_cell):
+        raise ValueError(f"an image of {img.shape} is smaller than one HOG cell")
     rows, columns, channels = img.shape
     cell_rows = rows // pix_per_cell
     histograms = np.zeros((channels, cell_rows, columns // pix_per_cell, orientations), np.float32)

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from dense_hog import correlate, hog_blocks
+from dense_hog import cell_histograms, correlate
 from files import written_whole
 from pipeline_functions import convert_color
 from threads import share, side_by_side
@@ -37,13 +37,16 @@ WINDOW_CELL = 4
 PATCH_CELLS = 8
 PATCH_MARGIN = 1
 PATCH_CELL = 8
-# HOG of the luma, mean colour.
+# HOG of the luma, mean colour. What compression leaves of the gradients of chroma
+# differs so much from camera to camera that others hardly know a car by it.
 CELL_FEATURES = ORIENTATIONS + 3
+# Gradients of a window's cell are held against those of so many cells each way.
+SURROUNDINGS = 9
 PATCH_SIDE = PATCH_CELLS + 2 * PATCH_MARGIN
 # Left, top, right, bottom: which margins are outside of the frame.
 N_BORDERS = 4
-N_INNER_FEATURES = 3 * PATCH_CELLS**2 * (ORIENTATIONS + 1) + N_BORDERS
-N_ALL_FEATURES = 3 * PATCH_SIDE**2 * (ORIENTATIONS + 1) + N_BORDERS
+N_INNER_FEATURES = PATCH_CELLS**2 * CELL_FEATURES + N_BORDERS
+N_ALL_FEATURES = PATCH_SIDE**2 * CELL_FEATURES + N_BORDERS
 
 # Suppression compares each box with each: only so many of the best.
 _MOST_BOXES = 400
@@ -52,7 +55,10 @@ _HOPELESS = -1.0
 # Boxes that take longer to look at than waking a thread.
 _WORTH_A_THREAD = 2
 
-FORMAT_VERSION = 4
+# Where there are no gradients at all, in roots of grey levels.
+_LEAST_LENGTH = np.float32(1e-3)
+
+FORMAT_VERSION = 5
 
 
 @dataclass(frozen=True)
@@ -306,14 +312,50 @@ def cell_features(img):
     features : ndarray of float32, shape (cell rows, cell columns, CELL_FEATURES)
     """
     img = convert_color(img, COLOR)
-    hog = hog_blocks(img[..., :1], ORIENTATIONS, WINDOW_CELL, 1)[0, :, :, 0, 0]
-    rows, columns, _ = hog.shape
+    histograms = cell_histograms(img[..., :1], ORIENTATIONS, WINDOW_CELL)[0]
+    rows, columns, _ = histograms.shape
+    lengths = cell_lengths(histograms)
+    size = SURROUNDINGS, SURROUNDINGS
+    around = cv2.blur(lengths, size, borderType=cv2.BORDER_REFLECT)
     features = np.empty((rows, columns, CELL_FEATURES), np.float32)
-    features[:, :, :ORIENTATIONS] = hog
+    features[:, :, :ORIENTATIONS] = normalise_cells(histograms, lengths, around)
     whole = img[: rows * WINDOW_CELL, : columns * WINDOW_CELL]
     means = cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA)
     np.multiply(means, np.float32(1 / 255), out=features[:, :, ORIENTATIONS:])
     return features
+
+
+def cell_lengths(histograms):
+    """Euclidean length of the histogram of every cell, shape (..., orientations) to (...)."""
+    return np.sqrt(np.einsum("...o,...o->...", histograms, histograms))
+
+
+def normalise_cells(histograms, lengths, around):
+    """Cells by the root of the squares of their own length and of the mean length around them.
+
+    Blocks that are brought to unit length [1]_ show what little there is in a plain
+    cell as large as the edges of a vehicle: noise, and what compression left of
+    it, which differs from camera to camera. Here it stays small.
+
+    Parameters
+    ----------
+    histograms : ndarray of float32, shape (..., orientations)
+        See `dense_hog.cell_histograms`.
+    lengths, around : ndarray of float32, shape (...)
+        See `cell_lengths`; `around` may be broadcast.
+
+    Returns
+    -------
+    normalised : ndarray of float32, shape (..., orientations)
+        0.7 long for a cell as long as those around it, at most 1.
+
+    References
+    ----------
+    .. [1] N. Dalal and B. Triggs, "Histograms of Oriented Gradients for Human
+           Detection", CVPR 2005.
+    """
+    scale = 1 / np.sqrt(lengths**2 + around**2 + _LEAST_LENGTH**2)
+    return histograms * scale[..., None]
 
 
 def window_scores(features, template, step):
@@ -465,7 +507,7 @@ def _without_margins(boxes):
 
 
 def patch_features(img, boxes):
-    """HOG and mean of the cells of every box and its margin.
+    """HOG of the luma and mean colour of the cells of every box and its margin.
 
     Parameters
     ----------
@@ -475,24 +517,25 @@ def patch_features(img, boxes):
 
     Returns
     -------
-    features : ndarray of float32, shape (n, 3, PATCH_SIDE, PATCH_SIDE, ORIENTATIONS + 1)
-        Of the channels of YCrCb.
+    features : ndarray of float32, shape (n, PATCH_SIDE, PATCH_SIDE, CELL_FEATURES)
     """
-    features = np.empty((len(boxes), 3, PATCH_SIDE, PATCH_SIDE, ORIENTATIONS + 1), np.float32)
+    features = np.empty((len(boxes), PATCH_SIDE, PATCH_SIDE, CELL_FEATURES), np.float32)
     if not len(boxes):
         return features
     size = PATCH_SIDE * PATCH_CELL, PATCH_SIDE * PATCH_CELL
     patches = [
         convert_color(cut_out(img, box, size), COLOR) for box in _with_margins(boxes).tolist()
     ]
-    channels = np.array([cv2.split(patch) for patch in patches]).reshape(-1, *size)
     # All patches are the channels of one image, for a pass of HOG has its price.
-    hog = hog_blocks(channels.transpose(1, 2, 0), ORIENTATIONS, PATCH_CELL, 1)
-    features[..., :ORIENTATIONS] = hog.reshape(*features.shape[:-1], -1)
+    luma = np.stack([patch[..., 0] for patch in patches], axis=2)
+    histograms = cell_histograms(luma, ORIENTATIONS, PATCH_CELL)
+    lengths = cell_lengths(histograms)
+    around = lengths.mean(axis=(1, 2), keepdims=True)
+    features[..., :ORIENTATIONS] = normalise_cells(histograms, lengths, around)
     size = PATCH_SIDE, PATCH_SIDE
     for patch, own in zip(patches, features, strict=True):
         means = cv2.resize(patch, size, interpolation=cv2.INTER_AREA)
-        np.multiply(means.transpose(2, 0, 1), np.float32(1 / 255), out=own[..., ORIENTATIONS])
+        np.multiply(means, np.float32(1 / 255), out=own[..., ORIENTATIONS:])
     return features
 
 
@@ -523,7 +566,7 @@ def margins_outside(boxes, frame_shape):
 def inner_cells(features, outside):
     """Features of the boxes without their margins, and `margins_outside`: (n, N_INNER_FEATURES)."""
     inner = slice(PATCH_MARGIN, PATCH_MARGIN + PATCH_CELLS)
-    cells = features[:, :, inner, inner].reshape(-1, N_INNER_FEATURES - N_BORDERS)
+    cells = features[:, inner, inner].reshape(-1, N_INNER_FEATURES - N_BORDERS)
     return np.hstack([cells, outside])
 
 

@@ -30,6 +30,7 @@ from detector import (
     N_BORDERS,
     PATCH_CELL,
     PATCH_CELLS,
+    SURROUNDINGS,
     WINDOW_CELL,
     WINDOW_COLUMNS,
     WINDOW_ROWS,
@@ -362,11 +363,12 @@ def window_features(img, box, columns):
     """Cells of a window of a template's shape, cut out of the frame with their surroundings."""
     left, top, right, bottom = box
     x, y = (right - left) / columns, (bottom - top) / WINDOW_ROWS
-    # One cell more on each side: gradients at a cut edge are those of nowhere.
-    size = (columns + 2) * WINDOW_CELL, (WINDOW_ROWS + 2) * WINDOW_CELL
+    # What its cells are held against, and one more: gradients at a cut edge are those of nowhere.
+    margin = SURROUNDINGS // 2 + 1
+    size = (columns + 2 * margin) * WINDOW_CELL, (WINDOW_ROWS + 2 * margin) * WINDOW_CELL
+    x, y = margin * x, margin * y
     whole = np.rint([left - x, top - y, right + x, bottom + y]).astype(int).tolist()
-    cut = cut_out(img, whole, size)
-    return cell_features(cut)[1:-1, 1:-1]
+    return cell_features(cut_out(img, whole, size))[margin:-margin, margin:-margin]
 
 
 def crop_windows(training_set, rng):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from skimage.feature import hog
 
 from conftest import textured_image
-from dense_hog import correlate, hog_blocks, tile_histograms
+from dense_hog import cell_histograms, correlate, hog_blocks, tile_histograms
 
 
 def reference(img, orientations, cell, block):
@@ -65,6 +65,24 @@ def test_vertical_edge_is_in_the_first_bin():
     img[:, 8:] = 100
     blocks = hog_blocks(img, 8, 16, 1)
     np.testing.assert_allclose(blocks.ravel(), [1, 0, 0, 0, 0, 0, 0, 0], atol=1e-6)
+
+
+def test_histograms_of_cells_hold_all_gradients():
+    img = textured_image(3, 40, 60)
+    roots = np.sqrt(img.astype(float))
+    x, y = np.zeros_like(roots), np.zeros_like(roots)
+    x[:, 1:-1] = roots[:, 2:] - roots[:, :-2]
+    y[1:-1] = roots[2:] - roots[:-2]
+    cells = np.hypot(x, y).reshape(5, 8, 60, 3)[:, :, :56].reshape(5, 8, 7, 8, 3).mean(axis=(1, 3))
+    histograms = cell_histograms(img, 9, 8)
+    assert histograms.shape == (3, 5, 7, 9)
+    np.testing.assert_allclose(histograms.sum(axis=3), np.moveaxis(cells, 2, 0), rtol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(7, 40, 1), (40, 7, 1)])
+def test_refuses_what_holds_no_cell(shape):
+    with pytest.raises(ValueError, match="smaller than one HOG cell"):
+        cell_histograms(np.zeros(shape, np.uint8), 9, 8)
 
 
 @pytest.mark.parametrize("img", [np.zeros((16, 16, 3), np.float32), np.zeros((16, 16), np.uint8)])

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import binary_dilation, uniform_filter
 from skimage.feature import hog
 from sklearn.metrics.pairwise import rbf_kernel
 
 from conftest import random_detector, textured_image
+from dense_hog import cell_histograms
 from detector import (
     CELL_FEATURES,
     COLOR,
@@ -23,6 +25,7 @@ from detector import (
     PATCH_CELLS,
     PATCH_MARGIN,
     PATCH_SIDE,
+    SURROUNDINGS,
     WINDOW_CELL,
     WINDOW_ROWS,
     KernelMachine,
@@ -31,6 +34,7 @@ from detector import (
     all_cells,
     are_plausible,
     cell_features,
+    cell_lengths,
     cut_out,
     inner_cells,
     keep_wholes,
@@ -40,6 +44,7 @@ from detector import (
     margins_outside,
     move_edges,
     near_horizon,
+    normalise_cells,
     on_whole_pixels,
     patch_features,
     propose,
@@ -106,18 +111,41 @@ def test_scan_params_refuse(wrong):
         ScanParams(**wrong)
 
 
+def unit_histograms(channel, side):
+    """Histograms of cells by scikit-image, each brought to unit length."""
+    return hog(
+        channel, ORIENTATIONS, (side, side), (1, 1), "L2",
+        transform_sqrt=True, feature_vector=False,
+    )[:, :, 0, 0]  # fmt: skip
+
+
+def lengths_and_units(cells):
+    lengths = np.linalg.norm(cells, axis=-1)
+    return lengths, cells / np.maximum(lengths, 1e-9)[..., None]
+
+
 def test_cells_hold_hog_and_mean_colour():
     img = textured_image(3, 46, 61)
     features = cell_features(img)
     img = convert_color(img, COLOR)
     assert features.shape == (11, 15, CELL_FEATURES)
-    expected = hog(
-        img[..., 0], ORIENTATIONS, (WINDOW_CELL, WINDOW_CELL), (1, 1), "L2-Hys",
-        transform_sqrt=True, feature_vector=False,
-    )[:, :, 0, 0]  # fmt: skip
-    np.testing.assert_allclose(features[..., :ORIENTATIONS], expected, atol=1e-5)
+    lengths, units = lengths_and_units(features[..., :ORIENTATIONS])
+    np.testing.assert_allclose(units, unit_histograms(img[..., 0], WINDOW_CELL), atol=1e-4)
+    raw = np.linalg.norm(cell_histograms(img[..., :1], ORIENTATIONS, WINDOW_CELL)[0], axis=-1)
+    around = uniform_filter(raw, SURROUNDINGS, mode="reflect")
+    np.testing.assert_allclose(lengths, raw / np.hypot(raw, around), atol=1e-4)
     cell = img[8:12, 20:24].mean(axis=(0, 1)) / 255
     np.testing.assert_allclose(features[2, 5, ORIENTATIONS:], cell, atol=0.003)
+
+
+def test_a_cell_is_held_against_what_is_around():
+    histograms = np.array([[3.0, 4.0], [0.0, 0.0]], np.float32)
+    lengths = cell_lengths(histograms)
+    np.testing.assert_allclose(lengths, [5, 0])
+    normalised = normalise_cells(histograms, lengths, np.float32(2.5))
+    np.testing.assert_allclose(normalised, histograms / np.sqrt(25 + 6.25), atol=1e-6)
+    nothing = np.zeros((2, 2), np.float32)
+    assert not normalise_cells(nothing, cell_lengths(nothing), np.float32(0)).any()
 
 
 @settings(max_examples=30)
@@ -244,25 +272,45 @@ def test_patches_hold_hog_and_mean_colour():
     img = textured_image(2, 240, 320)
     boxes = on_whole_pixels(np.array([(30.0, 40, 30 + SIDE, 40 + SIDE), (100.5, 60.2, 330, 170)]))
     features = patch_features(img, boxes)
-    assert features.shape == (2, 3, PATCH_SIDE, PATCH_SIDE, ORIENTATIONS + 1)
+    assert features.shape == (2, PATCH_SIDE, PATCH_SIDE, CELL_FEATURES)
     for box, own in zip(boxes, features, strict=True):
         margin = np.tile(box[2:] - box[:2], 2) / PATCH_CELLS * (-1, -1, 1, 1)
         size = PATCH_SIDE * PATCH_CELL, PATCH_SIDE * PATCH_CELL
         patch = convert_color(cut_out(img, (box + margin).round().astype(int), size), COLOR)
-        for channel, own_channel in zip(cv2.split(patch), own, strict=True):
-            expected = hog(
-                channel, ORIENTATIONS, (PATCH_CELL, PATCH_CELL), (1, 1), "L2-Hys",
-                transform_sqrt=True, feature_vector=False,
-            )[:, :, 0, 0]  # fmt: skip
-            np.testing.assert_allclose(own_channel[..., :ORIENTATIONS], expected, atol=1e-5)
-            mean = channel[8:16, 16:24].mean() / 255
-            assert own_channel[1, 2, ORIENTATIONS] == pytest.approx(mean, abs=0.003)
+        lengths, units = lengths_and_units(own[..., :ORIENTATIONS])
+        np.testing.assert_allclose(units, unit_histograms(patch[..., 0], PATCH_CELL), atol=1e-4)
+        raw = cell_histograms(patch[..., :1], ORIENTATIONS, PATCH_CELL)[0]
+        raw = np.linalg.norm(raw, axis=-1)
+        np.testing.assert_allclose(lengths, raw / np.hypot(raw, raw.mean()), atol=1e-4)
+        mean = patch[8:16, 16:24].mean(axis=(0, 1)) / 255
+        np.testing.assert_allclose(own[1, 2, ORIENTATIONS:], mean, atol=0.003)
     assert patch_features(img, boxes[:0]).shape == (0, *features.shape[1:])
     outside = np.arange(2 * N_BORDERS, dtype=np.float32).reshape(2, N_BORDERS)
-    inner = features[:, :, 1:-1, 1:-1].reshape(2, N_INNER_FEATURES - N_BORDERS)
+    inner = features[:, 1:-1, 1:-1].reshape(2, N_INNER_FEATURES - N_BORDERS)
     np.testing.assert_array_equal(inner_cells(features, outside), np.hstack([inner, outside]))
     every = features.reshape(2, N_ALL_FEATURES - N_BORDERS)
     np.testing.assert_array_equal(all_cells(features, outside), np.hstack([every, outside]))
+
+
+@pytest.mark.parametrize("describe", ["window", "patch"])
+def test_faint_noise_stays_small_and_exposure_changes_no_gradient(describe):
+    rng = np.random.default_rng(4)
+    img = np.full((160, 160, 3), 100, np.uint8)
+    img[40:120, 40:120] = 180
+    noisy = img + rng.integers(0, 3, img.shape).astype(np.uint8)
+
+    def gradients(img):
+        box = np.array([[16.0, 16, 144, 144]])
+        cells = cell_features(img) if describe == "window" else patch_features(img, box)[0]
+        return cells[..., :ORIENTATIONS]
+
+    plain, lengths = (np.linalg.norm(gradients(x), axis=2) for x in (img, noisy))
+    at_edge = plain > 0.3
+    beside = binary_dilation(at_edge, iterations=2) & ~at_edge
+    assert at_edge.any() and beside.any()
+    # Brought to unit length, cells of noise alone would be as long as edges.
+    assert lengths[at_edge].min() > 2 * lengths[beside].max()
+    np.testing.assert_allclose(gradients(img // 4), gradients(img), atol=0.02)
 
 
 def test_margins_outside_are_shares_of_a_cell():
