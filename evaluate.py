@@ -1,6 +1,6 @@
 """Hold detections against the truth.
 
-    python evaluate.py TRUTH DETECTIONS [--frames A:B] [--json] [--picture P.png]
+    python evaluate.py TRUTH DETECTIONS [--frames A:B[:STEP]] [--json] [--picture P.png]
 
 Truth rows with conf 0 are ignore regions: a detection that matches no
 required vehicle and lies by half of its own area in one is neither right nor
@@ -10,7 +10,7 @@ wrong.
 import argparse
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -50,7 +50,24 @@ class Rows:
 
     def within(self, frames):
         """The rows of a range of frames."""
-        return self.only((self.frames >= frames.start) & (self.frames < frames.stop))
+        return self.only(np.isin(self.frames, frames))
+
+    def told_apart(self):
+        """The same, with an identity of its own, below zero, for each row that has none."""
+        numbers = -1 - np.arange(len(self.ids))
+        return replace(self, ids=np.where(self.ids < 0, numbers, self.ids))
+
+
+def frame_range(text):
+    """ "A:B" or "A:B:STEP" to a range of frame numbers, from 1, both ends included."""
+    try:
+        first, last, *step = (int(part) for part in text.split(":"))
+        frames = range(first, last + 1, *step)
+    except (TypeError, ValueError):
+        frames = range(0)
+    if not frames or min(frames[0], frames.step) < 1:
+        raise ValueError(f"frames are A:B or A:B:STEP, from 1, both included, not {text!r}")
+    return frames
 
 
 def all_frames(truth, detections):
@@ -143,7 +160,7 @@ def accumulate(truth, detections, frames, iou_threshold=0.5):
     Parameters
     ----------
     truth, detections : Rows
-        Required vehicles; detections that count.
+        Required vehicles; detections that count; both `told_apart`.
     frames : range
 
     Returns
@@ -151,13 +168,11 @@ def accumulate(truth, detections, frames, iou_threshold=0.5):
     accumulator : motmetrics.MOTAccumulator
     """
     accumulator = motmetrics.MOTAccumulator()
-    # Detections without identity get one each, or they would all be one track.
-    ids = np.where(detections.ids < 0, -1 - np.arange(len(detections.ids)), detections.ids)
     for frame in frames:
         wanted, found = truth.frames == frame, detections.frames == frame
         distance = 1 - pairwise_iou(truth.boxes[wanted], detections.boxes[found])
         distance[distance > 1 - iou_threshold] = np.nan
-        accumulator.update(truth.ids[wanted], ids[found], distance, frameid=frame)
+        accumulator.update(truth.ids[wanted], detections.ids[found], distance, frameid=frame)
     return accumulator
 
 
@@ -189,11 +204,15 @@ def evaluate(truth, detections, frames=None, iou_threshold=0.5):
     figures : dict
         Plain numbers, and two dicts: recall by height, and by vehicle the
         frames from its entry to its first box. IDF1, switches and
-        fragmentations are None where detections carry no identity, and MOTA
-        then counts misses and false positives only.
+        fragmentations are None where truth or detections carry no identity,
+        and MOTA then counts misses and false positives only; by vehicle there
+        is nothing where the truth carries none.
     """
     frames = frames or all_frames(truth, detections)
     truth, detections = truth.within(frames), detections.within(frames)
+    truth_has_identities = not (truth.ids < 0).any()
+    both_have = truth_has_identities and (detections.ids >= 0).any()
+    truth, detections = truth.told_apart(), detections.told_apart()
     required = truth.only(truth.scores == 1)
     counted = forgive(truth, detections, iou_threshold)
     accumulator = accumulate(required, counted, frames, iou_threshold)
@@ -208,13 +227,13 @@ def evaluate(truth, detections, frames=None, iou_threshold=0.5):
     figures["false positives per frame"] = figures["false positives"] / len(frames)
     distance = figures.pop("mean distance")
     figures["mean IoU"] = None if distance is None else 1 - distance
-    if (detections.ids < 0).all():
+    if not both_have:
         figures |= dict.fromkeys(("IDF1", "identity switches", "fragmentations"))
         errors = figures["misses"] + figures["false positives"]
         figures["MOTA"] = 1 - errors / max(1, len(required.frames))
     found = _found(accumulator, required)
     figures["recall by height"] = _recall_by_height(required, found)
-    figures["frames to first box"] = _entry_delays(required, found)
+    figures["frames to first box"] = _entry_delays(required, found) if truth_has_identities else {}
     return figures
 
 
@@ -353,27 +372,20 @@ def draw_evaluation(truth, detections, frames, iou_threshold=0.5):
     return figure
 
 
-def parse_frames(text):
-    """A:B, both included, to a range."""
-    first, last = (int(part) for part in text.split(":"))
-    if not 1 <= first <= last:
-        raise argparse.ArgumentTypeError("frames are A:B, from 1, both included")
-    return range(first, last + 1)
-
-
 def main():
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Hold detections against the truth.")
     parser.add_argument("truth", type=Path, help="MOTChallenge rows, conf 0 to ignore")
     parser.add_argument("detections", type=Path, help="MOTChallenge rows of detect.py")
-    parser.add_argument("--frames", type=parse_frames, metavar="A:B", help="both included")
+    parser.add_argument("--frames", metavar="A:B[:STEP]", help="both included")
     parser.add_argument("--iou", type=float, default=0.5, help="of a match, default: 0.5")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.add_argument("--picture", type=Path, help="png to write curve and timeline to")
     arguments = parser.parse_args()
     try:
         truth, detections = read_rows(arguments.truth), read_rows(arguments.detections)
-        frames = arguments.frames or all_frames(truth, detections)
+        asked_for = arguments.frames
+        frames = frame_range(asked_for) if asked_for else all_frames(truth, detections)
         figures = evaluate(truth, detections, frames, arguments.iou)
         print(json.dumps(figures, indent=1) if arguments.json else table(figures))
         if arguments.picture:

@@ -50,7 +50,7 @@ from detector import (
     propose,
     save_detector,
 )
-from evaluate import read_rows
+from evaluate import frame_range, read_rows
 from files import VIDEO_SUFFIXES, find_images, read_image
 from sample_data import in_parallel
 from tracks import box_areas, pairwise_iou, pairwise_overlap
@@ -162,15 +162,6 @@ def parse_arguments(arguments=None):
 # ------------------------------------------------------------------- reading
 
 
-def frame_range(text):
-    """ "A:B" or "A:B:STEP" to a range of frame numbers, both ends included."""
-    try:
-        first, last, *step = (int(part) for part in text.split(":"))
-        return range(first, last + 1, *step)
-    except (TypeError, ValueError):
-        raise ValueError(f"frames are A:B or A:B:STEP, not {text!r}") from None
-
-
 def read_footage(path, truth, frames="1:1000000"):
     """Frames of a video or of a folder of images, with their true boxes.
 
@@ -179,7 +170,7 @@ def read_footage(path, truth, frames="1:1000000"):
     path, truth : path
         The n-th image of a folder, in the order of names, is frame n.
     frames : str
-        See `frame_range`. Those of a video are held in memory, three bytes a
+        See `evaluate.frame_range`. Those of a video are held in memory, three bytes a
         pixel; images are read when they are needed.
 
     Returns

@@ -16,6 +16,7 @@ from evaluate import (
     errors_by_frame,
     evaluate,
     forgive,
+    frame_range,
     match,
     precision_recall,
     read_rows,
@@ -83,6 +84,39 @@ def test_nothing_found():
     figures = evaluate(TRUTH, rows())
     assert figures["recall"] == 0 and figures["mean IoU"] is None and figures["IDF1"] is None
     assert figures["frames to first box"] == {"1 from 1": None, "2 from 1": None}
+
+
+def test_truth_without_identities():
+    # Two vehicles without a number in frame 1, one of them found; one in frame 3, found.
+    truth = rows((1, -1, 0, 0, 40, 40, 1), (1, -1, 80, 0, 40, 40, 1), (3, -1, 0, 0, 40, 40, 1))
+    found = rows((1, 5, 0, 0, 40, 40, 1), (3, 5, 0, 0, 40, 40, 1))
+    figures = evaluate(truth, found)
+    assert (figures["recall"], figures["misses"]) == (pytest.approx(2 / 3), 1)
+    assert figures["MOTA"] == pytest.approx(2 / 3)
+    assert figures["IDF1"] is None and figures["identity switches"] is None
+    assert figures["frames to first box"] == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"), [("2:4", [2, 3, 4]), ("11:61:25", [11, 36, 61]), ("3:3", [3])]
+)
+def test_ranges_of_frames(text, numbers):
+    assert list(frame_range(text)) == numbers
+
+
+@pytest.mark.parametrize(
+    "text", ["", "3", "a:b", "1:2:3:4", "1:2:x", "1:2:0", "0:5", "5:3", "5:3:-1"]
+)
+def test_what_is_no_range_of_frames(text):
+    with pytest.raises(ValueError, match="frames are A:B"):
+        frame_range(text)
+
+
+def test_frames_between_steps_do_not_count():
+    truth = rows((1, 1, 0, 0, 40, 40, 1), (3, 1, 0, 0, 40, 40, 1))
+    found = rows((1, 1, 0, 0, 40, 40, 1), (2, 1, 90, 0, 40, 40, 1), (3, 1, 90, 0, 40, 40, 1))
+    figures = evaluate(truth, found, frame_range("1:3:2"))
+    assert (figures["frames"], figures["misses"], figures["false positives"]) == (2, 1, 1)
 
 
 def test_frames_are_chosen():

@@ -25,7 +25,6 @@ from train_detector import (
     fit_regressor,
     fit_scorer,
     fit_template,
-    frame_range,
     is_nothing,
     jittered,
     mirrored,
@@ -69,12 +68,6 @@ def test_footage_is_a_folder_or_a_video(tmp_path):
         assert np.abs(difference).mean() < (0.01 if name == "frames" else 5)
     with pytest.raises(ValueError, match="no frame in 7:9"):
         read_footage(tmp_path / "frames", tmp_path / "truth.txt", "7:9")
-
-
-@pytest.mark.parametrize("text", ["", "3", "a:b", "1:2:3:4", "1:2:x", "1:2:0"])
-def test_frames_are_a_range(text):
-    with pytest.raises(ValueError, match="frames are A:B"):
-        frame_range(text)
 
 
 # -------------------------------------------------------------- augmentation
