@@ -37,16 +37,18 @@ WINDOW_CELL = 4
 PATCH_CELLS = 8
 PATCH_MARGIN = 1
 PATCH_CELL = 8
-# HOG of the luma, mean colour. What compression leaves of the gradients of chroma
-# differs so much from camera to camera that others hardly know a car by it.
+# HOG of the luma, mean colour.
 CELL_FEATURES = ORIENTATIONS + 3
+# The same, then HOG of the chroma. That tells where edges are, but not what is a
+# vehicle: compression leaves of it what differs from camera to camera.
+PATCH_FEATURES = CELL_FEATURES + 2 * ORIENTATIONS
 # Gradients of a window's cell are held against those of so many cells each way.
 SURROUNDINGS = 9
 PATCH_SIDE = PATCH_CELLS + 2 * PATCH_MARGIN
 # Left, top, right, bottom: which margins are outside of the frame.
 N_BORDERS = 4
 N_INNER_FEATURES = PATCH_CELLS**2 * CELL_FEATURES + N_BORDERS
-N_ALL_FEATURES = PATCH_SIDE**2 * CELL_FEATURES + N_BORDERS
+N_ALL_FEATURES = PATCH_SIDE**2 * PATCH_FEATURES + N_BORDERS
 
 # Suppression compares each box with each: only so many of the best.
 _MOST_BOXES = 400
@@ -506,36 +508,47 @@ def _without_margins(boxes):
     return np.hstack([boxes[:, :2] + aside, boxes[:, 2:] - aside])
 
 
-def patch_features(img, boxes):
-    """HOG of the luma and mean colour of the cells of every box and its margin.
+def patch_features(img, boxes, with_chroma=True):
+    """HOG and mean colour of the cells of every box and its margin.
 
     Parameters
     ----------
     img : ndarray of uint8, shape (rows, columns, 3)
         RGB.
     boxes : ndarray of float, shape (n, 4)
+    with_chroma : bool
+        False leaves HOG of the chroma out, which takes two thirds of the time.
 
     Returns
     -------
-    features : ndarray of float32, shape (n, PATCH_SIDE, PATCH_SIDE, CELL_FEATURES)
+    features : ndarray of float32, shape (n, PATCH_SIDE, PATCH_SIDE, PATCH_FEATURES)
+        HOG of the luma, mean colour, HOG of the chroma; or, without that, CELL_FEATURES
+        a cell.
     """
-    features = np.empty((len(boxes), PATCH_SIDE, PATCH_SIDE, CELL_FEATURES), np.float32)
+    n_features = PATCH_FEATURES if with_chroma else CELL_FEATURES
+    features = np.empty((len(boxes), PATCH_SIDE, PATCH_SIDE, n_features), np.float32)
     if not len(boxes):
         return features
     size = PATCH_SIDE * PATCH_CELL, PATCH_SIDE * PATCH_CELL
-    patches = [
-        convert_color(cut_out(img, box, size), COLOR) for box in _with_margins(boxes).tolist()
-    ]
+    patches = np.array(
+        [convert_color(cut_out(img, box, size), COLOR) for box in _with_margins(boxes).tolist()]
+    )
+    n_channels = 3 if with_chroma else 1
     # All patches are the channels of one image, for a pass of HOG has its price.
-    luma = np.stack([patch[..., 0] for patch in patches], axis=2)
-    histograms = cell_histograms(luma, ORIENTATIONS, PATCH_CELL)
+    channels = patches[..., :n_channels].transpose(1, 2, 3, 0).reshape(*size, -1)
+    histograms = cell_histograms(channels, ORIENTATIONS, PATCH_CELL)
+    histograms = histograms.reshape(n_channels, len(boxes), PATCH_SIDE, PATCH_SIDE, ORIENTATIONS)
     lengths = cell_lengths(histograms)
-    around = lengths.mean(axis=(1, 2), keepdims=True)
-    features[..., :ORIENTATIONS] = normalise_cells(histograms, lengths, around)
-    size = PATCH_SIDE, PATCH_SIDE
+    # Chroma too is held against the luma: faint as it is, it is noise.
+    around = lengths[0].mean(axis=(1, 2), keepdims=True)
+    normalised = normalise_cells(histograms, lengths, around)
+    features[..., :ORIENTATIONS] = normalised[0]
+    for channel, hog in enumerate(normalised[1:]):
+        first = CELL_FEATURES + channel * ORIENTATIONS
+        features[..., first : first + ORIENTATIONS] = hog
     for patch, own in zip(patches, features, strict=True):
-        means = cv2.resize(patch, size, interpolation=cv2.INTER_AREA)
-        np.multiply(means, np.float32(1 / 255), out=own[..., ORIENTATIONS:])
+        means = cv2.resize(patch, (PATCH_SIDE, PATCH_SIDE), interpolation=cv2.INTER_AREA)
+        np.multiply(means, np.float32(1 / 255), out=own[..., ORIENTATIONS:CELL_FEATURES])
     return features
 
 
@@ -564,14 +577,17 @@ def margins_outside(boxes, frame_shape):
 
 
 def inner_cells(features, outside):
-    """Features of the boxes without their margins, and `margins_outside`: (n, N_INNER_FEATURES)."""
+    """What tells vehicles: boxes without margins and chroma's HOG, and `margins_outside`.
+
+    Shape (n, N_INNER_FEATURES).
+    """
     inner = slice(PATCH_MARGIN, PATCH_MARGIN + PATCH_CELLS)
-    cells = features[:, inner, inner].reshape(-1, N_INNER_FEATURES - N_BORDERS)
+    cells = features[:, inner, inner, :CELL_FEATURES].reshape(-1, N_INNER_FEATURES - N_BORDERS)
     return np.hstack([cells, outside])
 
 
 def all_cells(features, outside):
-    """Features of the boxes with their margins, and `margins_outside`: (n, N_ALL_FEATURES)."""
+    """What tells edges: boxes with their margins, and `margins_outside`: (n, N_ALL_FEATURES)."""
     return np.hstack([features.reshape(-1, N_ALL_FEATURES - N_BORDERS), outside])
 
 
@@ -617,7 +633,8 @@ def _look_closer(img, boxes, detector):
     shifts = detector.regressor.predict(all_cells(features[near], outside[near]))
     moved = on_whole_pixels(move_edges(boxes[near], shifts))
     boxes[near] = moved
-    features, outside = patch_features(img, moved), margins_outside(moved, img.shape)
+    features = patch_features(img, moved, with_chroma=False)
+    outside = margins_outside(moved, img.shape)
     scores[near] = detector.scorer.predict(inner_cells(features, outside))[:, 0]
     return boxes, scores
 

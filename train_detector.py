@@ -667,7 +667,8 @@ def patch_samples(item, templates, regressor, scorer=None):
     nothing = (iou < _NOTHING_IOU) & is_nothing(windows, boxes[~required], 0.3, 0.5)
     clear = (iou > _VEHICLE_IOU) | nothing
     windows = windows[clear]
-    features = inner_cells(patch_features(img, windows), margins_outside(windows, img.shape))
+    features = patch_features(img, windows, with_chroma=False)
+    features = inner_cells(features, margins_outside(windows, img.shape))
     labels = (iou[clear] > _VEHICLE_IOU).astype(int)
     if scorer is not None:
         hard = scorer.predict(features)[:, 0] * (2 * labels - 1) < _SURE
@@ -691,7 +692,8 @@ def crop_patches(training_set, rng):
         boxes = np.concatenate([[whole, cut], parts])
         all_outside = np.zeros((len(boxes), N_BORDERS))
         all_outside[1] = outside
-        features = inner_cells(patch_features(random_crop(path, rng), boxes), all_outside)
+        features = patch_features(random_crop(path, rng), boxes, with_chroma=False)
+        features = inner_cells(features, all_outside)
         yield features.astype(np.float16), np.array([label, label, *np.zeros(len(parts), int)])
 
 

@@ -23,6 +23,7 @@ from detector import (
     ORIENTATIONS,
     PATCH_CELL,
     PATCH_CELLS,
+    PATCH_FEATURES,
     PATCH_MARGIN,
     PATCH_SIDE,
     SURROUNDINGS,
@@ -272,24 +273,30 @@ def test_patches_hold_hog_and_mean_colour():
     img = textured_image(2, 240, 320)
     boxes = on_whole_pixels(np.array([(30.0, 40, 30 + SIDE, 40 + SIDE), (100.5, 60.2, 330, 170)]))
     features = patch_features(img, boxes)
-    assert features.shape == (2, PATCH_SIDE, PATCH_SIDE, CELL_FEATURES)
+    assert features.shape == (2, PATCH_SIDE, PATCH_SIDE, PATCH_FEATURES)
     for box, own in zip(boxes, features, strict=True):
         margin = np.tile(box[2:] - box[:2], 2) / PATCH_CELLS * (-1, -1, 1, 1)
         size = PATCH_SIDE * PATCH_CELL, PATCH_SIDE * PATCH_CELL
         patch = convert_color(cut_out(img, (box + margin).round().astype(int), size), COLOR)
-        lengths, units = lengths_and_units(own[..., :ORIENTATIONS])
-        np.testing.assert_allclose(units, unit_histograms(patch[..., 0], PATCH_CELL), atol=1e-4)
-        raw = cell_histograms(patch[..., :1], ORIENTATIONS, PATCH_CELL)[0]
-        raw = np.linalg.norm(raw, axis=-1)
-        np.testing.assert_allclose(lengths, raw / np.hypot(raw, raw.mean()), atol=1e-4)
+        raw = np.linalg.norm(cell_histograms(patch, ORIENTATIONS, PATCH_CELL), axis=-1)
+        for channel, first in enumerate((0, CELL_FEATURES, CELL_FEATURES + ORIENTATIONS)):
+            lengths, units = lengths_and_units(own[..., first : first + ORIENTATIONS])
+            expected = unit_histograms(patch[..., channel], PATCH_CELL)
+            np.testing.assert_allclose(units, expected, atol=2e-4)
+            # All of them are held against the luma.
+            expected = raw[channel] / np.hypot(raw[channel], raw[0].mean())
+            np.testing.assert_allclose(lengths, expected, atol=1e-4)
         mean = patch[8:16, 16:24].mean(axis=(0, 1)) / 255
-        np.testing.assert_allclose(own[1, 2, ORIENTATIONS:], mean, atol=0.003)
+        np.testing.assert_allclose(own[1, 2, ORIENTATIONS:CELL_FEATURES], mean, atol=0.003)
     assert patch_features(img, boxes[:0]).shape == (0, *features.shape[1:])
     outside = np.arange(2 * N_BORDERS, dtype=np.float32).reshape(2, N_BORDERS)
-    inner = features[:, 1:-1, 1:-1].reshape(2, N_INNER_FEATURES - N_BORDERS)
-    np.testing.assert_array_equal(inner_cells(features, outside), np.hstack([inner, outside]))
     every = features.reshape(2, N_ALL_FEATURES - N_BORDERS)
     np.testing.assert_array_equal(all_cells(features, outside), np.hstack([every, outside]))
+    luma = patch_features(img, boxes, with_chroma=False)
+    np.testing.assert_array_equal(luma, features[..., :CELL_FEATURES])
+    inner = luma[:, 1:-1, 1:-1].reshape(2, N_INNER_FEATURES - N_BORDERS)
+    for described in (features, luma):
+        np.testing.assert_array_equal(inner_cells(described, outside), np.hstack([inner, outside]))
 
 
 @pytest.mark.parametrize("describe", ["window", "patch"])
