@@ -1,5 +1,6 @@
 """`Vehicle`: the two-stage detector with a memory."""
 
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -132,7 +133,10 @@ def test_only_whole_cars_tell_where_the_road_is(path):
     boxes = [(100, 60, 160, 100), (20, 40, 60, 90), (280, 60, 320, 90), (180, 120, 270, 180)]
     assert are_whole_cars(np.array(boxes, float), (180, 320, 3)).tolist() == [True, *3 * [False]]
     vehicle = Vehicle(None, path)
-    vehicle.detect(textured_image(0, 180, 320))
+    # What is found in this frame must begin no tracks of its own.
+    unsure = replace(vehicle.detector.scorer, bias=np.float32([-100]))
+    vehicle.detector = replace(vehicle.detector, scorer=unsure)
+    assert (vehicle.detect(textured_image(0, 180, 320)).candidate_scores < 0).all()
     vehicle._tracker.predict()
     vehicle._follow(np.empty((0, 4)), np.array(boxes[:2], float), np.array([6.0, 6.0]))
     np.testing.assert_allclose(vehicle._seen, boxes[:1])

@@ -256,7 +256,7 @@ def test_detect_writes_pictures_and_boxes(param, tmp_path):
 
 
 def test_detect_with_two_stages_writes_what_vehicle_finds(tmp_path):
-    save_detector(random_detector(8), tmp_path / "detector.npz")
+    save_detector(random_detector(3), tmp_path / "detector.npz")
     clip = write_video(tmp_path / "clip.mp4", moving_frames(9))
     write_image(tmp_path / "still.png", next(moving_frames(1)))
     options = "--out", tmp_path / "out", "--param", tmp_path / "detector.npz", "--split-screen"
