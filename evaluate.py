@@ -210,7 +210,7 @@ def evaluate(truth, detections, frames=None, iou_threshold=0.5):
     """
     frames = frames or all_frames(truth, detections)
     truth, detections = truth.within(frames), detections.within(frames)
-    truth_has_identities = not (truth.ids < 0).any()
+    truth_has_identities = not (truth.ids[truth.scores == 1] < 0).any()
     both_have = truth_has_identities and (detections.ids >= 0).any()
     truth, detections = truth.told_apart(), detections.told_apart()
     required = truth.only(truth.scores == 1)

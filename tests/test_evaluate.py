@@ -97,6 +97,14 @@ def test_truth_without_identities():
     assert figures["frames to first box"] == {}
 
 
+def test_ignore_regions_need_no_identity():
+    truth = rows((1, 4, 0, 0, 40, 40, 1), (1, -1, 80, 0, 120, 40, 0), (2, 4, 0, 0, 40, 40, 1))
+    found = rows((1, 7, 0, 0, 40, 40, 1), (2, 8, 0, 0, 40, 40, 1))
+    figures = evaluate(truth, found)
+    assert figures["identity switches"] == 1
+    assert figures["frames to first box"] == {"4 from 1": 0}
+
+
 @pytest.mark.parametrize(
     ("text", "numbers"), [("2:4", [2, 3, 4]), ("11:61:25", [11, 36, 61]), ("3:3", [3])]
 )
