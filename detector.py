@@ -40,7 +40,7 @@ PATCH_CELL = 8
 # HOG of the luma, mean colour.
 CELL_FEATURES = ORIENTATIONS + 3
 # The same, then HOG of the chroma. That tells where edges are, but not what is a
-# vehicle: compression leaves of it what differs from camera to camera.
+# vehicle: with it, those of a camera that was not learned from score low.
 PATCH_FEATURES = CELL_FEATURES + 2 * ORIENTATIONS
 # Gradients of a window's cell are held against those of so many cells each way.
 SURROUNDINGS = 9
@@ -335,9 +335,8 @@ def cell_lengths(histograms):
 def normalise_cells(histograms, lengths, around):
     """Cells by the root of the squares of their own length and of the mean length around them.
 
-    Blocks that are brought to unit length [1]_ show what little there is in a plain
-    cell as large as the edges of a vehicle: noise, and what compression left of
-    it, which differs from camera to camera. Here it stays small.
+    Blocks that are brought to unit length [1]_ show what noise there is in a plain
+    cell as large as the edges of a vehicle. Here it stays small.
 
     Parameters
     ----------

@@ -131,10 +131,10 @@ def test_cells_hold_hog_and_mean_colour():
     img = convert_color(img, COLOR)
     assert features.shape == (11, 15, CELL_FEATURES)
     lengths, units = lengths_and_units(features[..., :ORIENTATIONS])
-    np.testing.assert_allclose(units, unit_histograms(img[..., 0], WINDOW_CELL), atol=1e-4)
+    np.testing.assert_allclose(units, unit_histograms(img[..., 0], WINDOW_CELL), atol=1e-5)
     raw = np.linalg.norm(cell_histograms(img[..., :1], ORIENTATIONS, WINDOW_CELL)[0], axis=-1)
     around = uniform_filter(raw, SURROUNDINGS, mode="reflect")
-    np.testing.assert_allclose(lengths, raw / np.hypot(raw, around), atol=1e-4)
+    np.testing.assert_allclose(lengths, raw / np.hypot(raw, around), atol=1e-5)
     cell = img[8:12, 20:24].mean(axis=(0, 1)) / 255
     np.testing.assert_allclose(features[2, 5, ORIENTATIONS:], cell, atol=0.003)
 
@@ -282,10 +282,10 @@ def test_patches_hold_hog_and_mean_colour():
         for channel, first in enumerate((0, CELL_FEATURES, CELL_FEATURES + ORIENTATIONS)):
             lengths, units = lengths_and_units(own[..., first : first + ORIENTATIONS])
             expected = unit_histograms(patch[..., channel], PATCH_CELL)
-            np.testing.assert_allclose(units, expected, atol=2e-4)
+            np.testing.assert_allclose(units, expected, atol=1e-5)
             # All of them are held against the luma.
             expected = raw[channel] / np.hypot(raw[channel], raw[0].mean())
-            np.testing.assert_allclose(lengths, expected, atol=1e-4)
+            np.testing.assert_allclose(lengths, expected, atol=1e-5)
         mean = patch[8:16, 16:24].mean(axis=(0, 1)) / 255
         np.testing.assert_allclose(own[1, 2, ORIENTATIONS:CELL_FEATURES], mean, atol=0.003)
     assert patch_features(img, boxes[:0]).shape == (0, *features.shape[1:])

@@ -171,7 +171,7 @@ def test_a_window_that_lies_on_cells_has_the_cells_of_the_frame():
     cells = cell_features(img)
     size = WINDOW_ROWS * WINDOW_CELL
     own = window_features(img, (40, 32, 40 + size, 32 + size), WINDOW_ROWS)
-    np.testing.assert_allclose(own, cells[8:16, 10:18], atol=1e-5)
+    np.testing.assert_allclose(own, cells[8:16, 10:18], atol=1e-6)
 
 
 def test_a_template_folds_its_scaling():
