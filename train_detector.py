@@ -65,6 +65,8 @@ _VEHICLE_IOU, _NOTHING_IOU = 0.6, 0.4
 _CROP_SIDE = PATCH_CELLS * PATCH_CELL
 # What is scored right by more than this teaches nothing new.
 _SURE = 0.5
+# So often each crop with a box is looked at, as another camera might have taken it.
+_CROP_VIEWS = 8
 # Components of patches and centers of kernels: what is a vehicle shows in more
 # details than where its edges are, but there are more places for edges.
 _SCORER_SIZE = 120, 2000
@@ -108,12 +110,15 @@ class TrainingSet:
         been theirs.
     square_crops : list of Path
         Vehicles cut out as squares.
+    boxed_crops : list of Example
+        Vehicles cut out with a margin, and their boxes.
     non_vehicles : list of Path
     """
 
     examples: list
     crops: list
     square_crops: list
+    boxed_crops: list
     non_vehicles: list
 
 
@@ -145,6 +150,15 @@ def parse_arguments(arguments=None):
         default=[],
         metavar="FOLDER",
         help="images of vehicles, cut out as squares, like GTI's",
+    )
+    parser.add_argument(
+        "--boxed-crops",
+        nargs=2,
+        action="append",
+        default=[],
+        metavar=("FOLDER", "TRUTH"),
+        help="images of vehicles with a margin, and MOTChallenge rows of some of them, the n-th "
+        "image, in the order of names, being frame n; can be given several times",
     )
     parser.add_argument(
         "--non-vehicles",
@@ -194,6 +208,14 @@ def read_footage(path, truth, frames="1:1000000"):
             examples.append(Example(source, rows.boxes[own], rows.scores[own] == 1))
     if not examples:
         raise ValueError(f"{path}: no frame in {frames}")
+    return examples
+
+
+def read_boxed_crops(folder, truth):
+    """Those images of a folder that have a true box, as `read_footage`."""
+    examples = [example for example in read_footage(folder, truth) if example.required.any()]
+    if not examples:
+        raise ValueError(f"{truth}: no box for any image of {folder}")
     return examples
 
 
@@ -522,21 +544,40 @@ def edge_samples(item, templates):
     """
     example, rng = item
     img, boxes, required = random_camera(example, rng)
-    vehicles = boxes[required]
     windows = candidates(img, boxes, required, templates, rng)
+    return _edges(img, windows, boxes[required], np.ones(N_BORDERS))
+
+
+def crop_edge_samples(item):
+    """As `edge_samples`, of a vehicle that was cut out of a frame with a margin."""
+    example, rng = item
+    img, boxes, required = random_camera(example, rng)
+    # It goes on beyond the margin; but what cut the vehicle may as well have been the frame's end.
+    ends = (margins_outside(boxes, img.shape) == 1).any(axis=0)
+    windows = [jittered(boxes[required], spread, rng) for spread in (0.04, 0.1, 0.1)]
+    return _edges(img, np.concatenate(windows), boxes[required], ends)
+
+
+def _edges(img, windows, vehicles, ends):
+    """Windows around vehicles as `edge_samples`; `ends` is 0 on sides where no frame ends."""
     windows = on_whole_pixels(windows[best_iou(windows, vehicles) > _NOTHING_IOU])
     own = np.empty((0, 4))
     if len(windows):
         own = vehicles[pairwise_iou(windows, vehicles).argmax(axis=1)]
     size = np.tile(windows[:, 2:] - windows[:, :2], 2)
-    features = all_cells(patch_features(img, windows), margins_outside(windows, img.shape))
+    outside = margins_outside(windows, img.shape) * ends
+    features = all_cells(patch_features(img, windows), outside)
     return features.astype(np.float16), (own - windows) / size
 
 
-def train_regressor(examples, templates, seed, jobs):
+def train_regressor(training_set, templates, seed, jobs):
     """From patches around vehicles to the shifts of their edges."""
-    items = with_generators(examples, seed, 4)
-    found = in_parallel(partial(edge_samples, templates=templates), items, jobs, "edges")
+    items = with_generators(training_set.examples, seed, 4)
+    crops = with_generators(_CROP_VIEWS * training_set.boxed_crops, seed, 9)
+    found = [
+        *in_parallel(partial(edge_samples, templates=templates), items, jobs, "edges"),
+        *in_parallel(crop_edge_samples, crops, jobs, "boxed crops"),
+    ]
     features, shifts = map(np.concatenate, zip(*found, strict=True))
     print(f"edges: {len(features)} patches")
     return fit_regressor(features, shifts, np.random.default_rng([seed, 5]))
@@ -780,7 +821,7 @@ def train_detector(training_set, seed=0, jobs=-1):
     detector : Detector
     """
     templates = train_templates(training_set, seed, jobs)
-    regressor = train_regressor(training_set.examples, templates, seed, jobs)
+    regressor = train_regressor(training_set, templates, seed, jobs)
     scorer = train_scorer(training_set, templates, regressor, seed, jobs)
     return Detector(templates, scorer, regressor)
 
@@ -799,8 +840,13 @@ def main():
             if not 2 <= len(footage) <= 3:
                 raise ValueError(f"--footage {' '.join(footage)}: a path, its truth, and A:B")
         examples = [e for footage in arguments.footage for e in read_footage(*footage)]
-        folders = arguments.crops, arguments.square_crops, arguments.non_vehicles
-        training_set = TrainingSet(examples, *map(images_of_folders, folders))
+        training_set = TrainingSet(
+            examples=examples,
+            crops=images_of_folders(arguments.crops),
+            square_crops=images_of_folders(arguments.square_crops),
+            boxed_crops=[c for pair in arguments.boxed_crops for c in read_boxed_crops(*pair)],
+            non_vehicles=images_of_folders(arguments.non_vehicles),
+        )
         print(", ".join(f"{len(v)} {k}" for k, v in vars(training_set).items()))
         detector = train_detector(training_set, arguments.seed, arguments.jobs)
         save_detector(detector, arguments.out)

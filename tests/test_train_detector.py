@@ -9,8 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import train_detector
 from conftest import ROOT, textured_image
-from detector import WINDOW_CELL, WINDOW_ROWS, cell_features, load_detector
+from detector import (
+    N_ALL_FEATURES,
+    WINDOW_CELL,
+    WINDOW_ROWS,
+    cell_features,
+    load_detector,
+    margins_outside,
+    on_whole_pixels,
+)
 from evaluate import evaluate, read_rows
 from files import write_image
 from pipeline_functions import convert_color
@@ -19,8 +28,10 @@ from sample_data import random_scene, truth_rows
 from tracks import pairwise_iou, pairwise_overlap
 from train_detector import (
     Example,
+    TrainingSet,
     best_iou,
     cluster_centers,
+    crop_edge_samples,
     cut_by_border,
     fit_regressor,
     fit_scorer,
@@ -33,8 +44,10 @@ from train_detector import (
     random_camera,
     random_crop,
     random_parts,
+    read_boxed_crops,
     read_footage,
     steepest_directions,
+    train_regressor,
     window_features,
 )
 from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
@@ -68,6 +81,20 @@ def test_footage_is_a_folder_or_a_video(tmp_path):
         assert np.abs(difference).mean() < (0.01 if name == "frames" else 5)
     with pytest.raises(ValueError, match="no frame in 7:9"):
         read_footage(tmp_path / "frames", tmp_path / "truth.txt", "7:9")
+
+
+def test_boxed_crops_are_the_images_that_have_a_box(tmp_path):
+    for number in range(1, 6):
+        write_image(tmp_path / "crops" / f"{number}.png", textured_image(number, 64, 64))
+    truth = tmp_path / "truth.txt"
+    truth.write_text("2,1,10,5,44,50,1,3,1\n3,1,9,9,9,9,0,3,1\n4,1,0,8,60,48,1,3,1\n")
+    crops = read_boxed_crops(tmp_path / "crops", truth)
+    assert [crop.source.name for crop in crops] == ["2.png", "4.png"]
+    assert [crop.boxes.tolist() for crop in crops] == [[[10, 5, 54, 55]], [[0, 8, 60, 56]]]
+    assert all(crop.required.tolist() == [True] for crop in crops)
+    truth.write_text("9,1,10,5,44,50,1,3,1\n")
+    with pytest.raises(ValueError, match="truth.txt: no box for any image of .*crops"):
+        read_boxed_crops(tmp_path / "crops", truth)
 
 
 # -------------------------------------------------------------- augmentation
@@ -161,6 +188,40 @@ def test_the_border_cuts_one_side_of_a_box(seed):
     others = [i for i in range(4) if i != side]
     np.testing.assert_array_equal(cut[others], box[others])
     assert 0.45 * 64 <= cut[2] - cut[0] <= 64
+
+
+def crop_of(box, seed=0):
+    return Example(textured_image(seed, 64, 64), np.array([box], float), np.array([True]))
+
+
+@pytest.mark.parametrize(
+    "box, ends", [((3, 8, 58, 60), (0, 0, 0, 0)), ((0, 8, 58, 60), (1, 0, 0, 0))]
+)
+def test_a_crop_ends_only_where_it_cuts_the_vehicle(monkeypatch, box, ends):
+    moved = np.array([box, (2, 7, 63, 64), (1, 4, 50, 61)], float)
+    monkeypatch.setattr(train_detector, "jittered", lambda *_: moved)
+    monkeypatch.setattr(
+        train_detector, "random_camera", lambda e, _: (e.read(), e.boxes, e.required)
+    )
+    features, shifts = crop_edge_samples((crop_of(box), None))
+    windows = on_whole_pixels(np.tile(moved, (3, 1)))
+    size = np.tile(windows[:, 2:] - windows[:, :2], 2)
+    np.testing.assert_allclose(windows + shifts * size, np.tile(box, (9, 1)))
+    outside = margins_outside(windows, (64, 64))
+    # All margins lie outside of the picture on the left, some of them below and on the right.
+    assert (outside[:, 0] > 0).all() and (outside[:, 2:].max(axis=0) > 0).all()
+    np.testing.assert_allclose(features[:, -4:], outside * ends, atol=1e-3)
+
+
+def test_every_boxed_crop_is_looked_at_eight_times(monkeypatch):
+    monkeypatch.setattr(train_detector, "fit_regressor", lambda *samples: samples)
+    crops = [crop_of((6, 8, 58, 60), seed) for seed in range(3)]
+    training_set = TrainingSet([], [], [], crops, [])
+    features, shifts, _ = train_regressor(training_set, (), seed=0, jobs=1)
+    assert features.shape[1] == N_ALL_FEATURES and len(features) == len(shifts)
+    # Three windows each; of some the frame, made narrower, leaves too little.
+    assert 0.6 * 72 < len(features) <= 72
+    assert len(np.unique(features, axis=0)) == len(features)
 
 
 # ------------------------------------------------------------------- fitting
