@@ -320,6 +320,11 @@ def jittered(boxes, spread, rng):
     return move_edges(boxes, shifts)
 
 
+def with_moved_edges(boxes, rng):
+    """Each box three times, its edges moved at random, once by little."""
+    return np.concatenate([jittered(boxes, spread, rng) for spread in (0.04, 0.1, 0.1)])
+
+
 def random_parts(boxes, rng):
     """A part of each box, three tenths to all of its width and height."""
     size = boxes[:, 2:] - boxes[:, :2]
@@ -516,9 +521,9 @@ def candidates(img, boxes, required, templates, rng):
     )
     windows, _ = propose(img, level_groups(img.shape[:2], scan)[0], templates, scan)
     vehicles = boxes[required]
-    moved = [jittered(vehicles, spread, rng) for spread in (0.04, 0.1, 0.1)]
+    moved = with_moved_edges(vehicles, rng)
     parts = [random_parts(vehicles, rng) for _ in range(2)]
-    windows = np.concatenate([windows, *moved, *parts, neighbours(vehicles, rng)])
+    windows = np.concatenate([windows, moved, *parts, neighbours(vehicles, rng)])
     clear = is_nothing(windows, boxes[~required], 0.3, 0.5)
     return windows[clear | (best_iou(windows, vehicles) > 0.5)]
 
@@ -554,8 +559,7 @@ def crop_edge_samples(item):
     img, boxes, required = random_camera(example, rng)
     # It goes on beyond the margin; but what cut the vehicle may as well have been the frame's end.
     ends = (margins_outside(boxes, img.shape) == 1).any(axis=0)
-    windows = [jittered(boxes[required], spread, rng) for spread in (0.04, 0.1, 0.1)]
-    return _edges(img, np.concatenate(windows), boxes[required], ends)
+    return _edges(img, with_moved_edges(boxes[required], rng), boxes[required], ends)
 
 
 def _edges(img, windows, vehicles, ends):
