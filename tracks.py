@@ -44,9 +44,12 @@ class TrackParams:
         out of sight, or its box has no positive score: what its box did last
         was mostly to shrink behind what hides it.
     birth : float
-        Evidence, the sum of a track's scores, that makes it a vehicle.
+        Evidence, the sum of a track's scores, each less `neutral_score`, that makes it a vehicle.
     most_evidence : float
         No track gathers more, so that what has gone is soon let go.
+    neutral_score : float
+        Score of a box that neither adds to the evidence nor takes from it: what was
+        taken for a vehicle and is none goes on scoring little more than 0.
     miss_cost : float
         Evidence that a frame without a box takes away.
     """
@@ -60,6 +63,7 @@ class TrackParams:
     kept_velocity: float = 1.0
     birth: float = 0.0
     most_evidence: float = 1.0
+    neutral_score: float = 0.0
     miss_cost: float = 1.0
 
     def __post_init__(self):
@@ -75,8 +79,8 @@ class TrackParams:
             raise ValueError(f"kept_velocity lies between 0 and 1, not at {self.kept_velocity}")
         if not 0 <= self.birth <= self.most_evidence:
             raise ValueError(f"birth {self.birth} lies outside 0..{self.most_evidence}")
-        if self.miss_cost <= 0:
-            raise ValueError("miss_cost is above 0")
+        if self.miss_cost <= 0 or self.neutral_score < 0:
+            raise ValueError("miss_cost is above 0, and neutral_score starts at 0")
 
 
 # Boxes that come from heat have lasted already.
@@ -133,7 +137,7 @@ class Track:
         self._filter.errorCovPost = variance * np.diag([1.0] * 4 + [0.1] * 4)
         self._filter.statePost = np.concatenate([box, np.zeros(4)])[:, None].astype(float)
         self._width = box[2] - box[0]
-        self._weigh(score)
+        self._weigh(score - self._params.neutral_score)
 
     def predict(self):
         """One frame on: `box` is where the vehicle is expected."""
@@ -156,7 +160,7 @@ class Track:
             self._slow_down()
         if score >= 1:
             self._width += _NEW_WIDTH * (self.box[2] - self.box[0] - self._width)
-        self._weigh(score)
+        self._weigh(score - self._params.neutral_score)
 
     def miss(self, others):
         """There is no box in this frame; `others`, shape (n, 4), are vehicles that have one."""
@@ -190,8 +194,8 @@ class Track:
         state[4:] *= self._params.kept_velocity
         self._filter.statePost = state
 
-    def _weigh(self, score):
-        self.evidence = min(self.evidence + score, self._params.most_evidence)
+    def _weigh(self, evidence):
+        self.evidence = min(self.evidence + evidence, self._params.most_evidence)
         if self.evidence < 0:
             self.is_shown = False
             self.evidence = 0.0

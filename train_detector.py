@@ -71,6 +71,8 @@ _CROP_VIEWS = 8
 # details than where its edges are, but there are more places for edges.
 _SCORER_SIZE = 120, 2000
 _REGRESSOR_SIZE = 60, 3000
+# Median score of the vehicles the scorer learned from.
+_USUAL_SCORE = 1.5
 # The regressor's components are found among so many principal ones, by gradients
 # at so many patches.
 _N_PRINCIPAL, _N_GRADIENTS = 600, 12_000
@@ -771,8 +773,11 @@ def train_scorer(training_set, templates, regressor, seed, jobs, rounds=1):
     return scorer
 
 
-def fit_scorer(features, labels, rng, C=1.0):
+def fit_scorer(features, labels, rng, C=0.1):
     """Linear SVM on the map that approximates an RBF kernel by clusters of the samples.
+
+    Its decision function is scaled so that the vehicles it learned from have a median of
+    `_USUAL_SCORE`: how much evidence a score is must not depend on C.
 
     A kernel SVM on as many samples would keep thousands of support vectors,
     and each costs time in every frame. As many clusters are of vehicles as of
@@ -796,9 +801,10 @@ def fit_scorer(features, labels, rng, C=1.0):
     nystroem = Nystroem(gamma=gamma, n_components=len(centers), random_state=0).fit(centers)
     mapped = nystroem.transform(components).astype(np.float32)
     svm = LinearSVC(C=C, dual=False, class_weight="balanced", max_iter=200).fit(mapped, labels)
-    weights = (nystroem.normalization_.T @ svm.coef_[0])[None].astype(np.float32)
+    scale = np.float32(_USUAL_SCORE / np.median(svm.decision_function(mapped[labels > 0])))
+    weights = scale * (nystroem.normalization_.T @ svm.coef_[0])[None].astype(np.float32)
     centers = nystroem.components_.astype(np.float32)
-    bias = svm.intercept_.astype(np.float32)
+    bias = scale * svm.intercept_.astype(np.float32)
     return KernelMachine(projection, offset, centers, weights, bias, gamma)
 
 

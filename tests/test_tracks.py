@@ -372,6 +372,16 @@ def test_frames_without_a_box_cost_evidence():
     assert shown(tracker, here, 1.0) is None
 
 
+def test_a_box_of_neutral_score_adds_nothing_and_one_below_it_takes_away():
+    tracker = Tracker(TrackParams(birth=2, most_evidence=3, neutral_score=0.25))
+    here = boxes(box_at(100))
+    # 1.25 is 1 of evidence; a positive score of less than a quarter is none.
+    assert [shown(tracker, here, s) for s in (1.25, 0.25, 0.25, 1.0, 1.25)] == [None] * 4 + [1]
+    for _ in range(22):
+        assert shown(tracker, here, 0.125) == 1
+    assert shown(tracker, here, 0.125) is None
+
+
 def test_what_never_was_a_vehicle_is_forgotten():
     tracker = Tracker(TrackParams(birth=2, most_evidence=3))
     for _ in range(20):
@@ -423,6 +433,7 @@ def test_expected_are_those_of_the_frame_before():
         {"birth": -1},
         {"birth": 2, "most_evidence": 1},
         {"miss_cost": 0},
+        {"neutral_score": -0.1},
         {"kept_velocity": 1.1},
         {"max_growth": 1},
         {"reach": -0.1},

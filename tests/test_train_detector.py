@@ -258,6 +258,11 @@ def test_regressor_and_scorer_learn_what_is_not_linear():
     labels = (radius > 1.2).astype(int)
     scorer = fit_scorer(features[:1000], labels[:1000], np.random.default_rng(1))
     assert ((scorer.predict(features[1000:])[:, 0] > 0) == labels[1000:]).mean() > 0.9
+    for C in (0.01, 1):
+        scorer = fit_scorer(features[:1000], labels[:1000], np.random.default_rng(1), C)
+        assert scorer.weights.dtype == scorer.bias.dtype == np.float32
+        median = np.median(scorer.predict(features[:1000])[labels[:1000] > 0])
+        np.testing.assert_allclose(median, 1.5, rtol=1e-3)
 
 
 def test_regressor_looks_past_what_differs_more():
