@@ -71,9 +71,6 @@ _CROP_VIEWS = 8
 # details than where its edges are, but there are more places for edges.
 _SCORER_SIZE = 120, 2000
 _REGRESSOR_SIZE = 60, 3000
-# So often patches count that a side of the frame cuts: it takes more to tell vehicles that
-# enter from parts of vehicles, which are none.
-_WEIGHT_IF_CUT = 3
 # Median score of the vehicles the scorer learned from.
 _USUAL_SCORE = 1.5
 # The regressor's components are found among so many principal ones, by gradients
@@ -816,10 +813,7 @@ def fit_scorer(features, labels, rng, C=0.1):
     )
     nystroem = Nystroem(gamma=gamma, n_components=len(centers), random_state=0).fit(centers)
     mapped = nystroem.transform(components).astype(np.float32)
-    at_sides = features[:, -N_BORDERS:][:, [0, 2]].max(axis=1)
-    sample_weight = np.where(at_sides > 0, _WEIGHT_IF_CUT, 1)
-    svm = LinearSVC(C=C, dual=False, class_weight="balanced", max_iter=200)
-    svm.fit(mapped, labels, sample_weight)
+    svm = LinearSVC(C=C, dual=False, class_weight="balanced", max_iter=200).fit(mapped, labels)
     scale = np.float32(_USUAL_SCORE / np.median(svm.decision_function(mapped[labels > 0])))
     weights = scale * (nystroem.normalization_.T @ svm.coef_[0])[None].astype(np.float32)
     centers = nystroem.components_.astype(np.float32)

@@ -13,7 +13,6 @@ import train_detector
 from conftest import ROOT, textured_image
 from detector import (
     N_ALL_FEATURES,
-    N_BORDERS,
     WINDOW_CELL,
     WINDOW_ROWS,
     cell_features,
@@ -264,23 +263,6 @@ def test_regressor_and_scorer_learn_what_is_not_linear():
         assert scorer.weights.dtype == scorer.bias.dtype == np.float32
         median = np.median(scorer.predict(features[:1000])[labels[:1000] > 0])
         np.testing.assert_allclose(median, 1.5, rtol=1e-3)
-
-
-def test_scorer_learns_more_of_what_a_side_of_the_frame_cuts():
-    rng = np.random.default_rng(3)
-    inner = rng.normal(size=(400, 150 - N_BORDERS))
-    labels = (inner[:, 0] > 0).astype(int)
-    left, top, right, bottom = [
-        np.hstack([inner, np.tile(border, (400, 1))]).astype(np.float32)
-        for border in np.eye(N_BORDERS)
-    ]
-    features, all_labels = np.concatenate([left, top, right, bottom]), np.tile(labels, 4)
-    scorer = fit_scorer(features, all_labels, np.random.default_rng(1), C=1e-3)
-
-    def margin(features):
-        return (scorer.predict(features)[:, 0] * (2 * labels - 1)).mean()
-
-    assert min(margin(left), margin(right)) > 1.2 * max(margin(top), margin(bottom)) > 0
 
 
 def test_regressor_looks_past_what_differs_more():
