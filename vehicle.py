@@ -48,8 +48,6 @@ _TRUST_IN_TRACKS = 0.5
 _ENOUGH_SEEN, _MOST_SEEN = 20, 500
 # What a box's score loses for being lower than a car where it stands.
 _COST_OF_LOWNESS = 3
-# What it gains where a side of the frame cuts it: what enters shows little of itself.
-_GAIN_AT_SIDE = 0.2
 
 
 @dataclass(frozen=True)
@@ -65,9 +63,8 @@ class Detections:
         out of sight, and the proposals that are not near a track; without what is
         implausible or part of a better one.
     candidate_scores, candidate_evidence : ndarray of float, shape (m,)
-        Decision function of each, and a little more at the sides of the frame, less what
-        it costs to be lower than a car where it stands; evidence of the track it belongs
-        to, 0 for none.
+        Decision function of each, less what it costs to be lower than a car where
+        it stands; evidence of the track it belongs to, 0 for none.
     boxes : ndarray of int, shape (k, 4)
     scores : ndarray of float, shape (k,)
         As of the candidates; 0 for a vehicle that has no box in this frame, and is
@@ -158,11 +155,9 @@ class Vehicle(Viewer):
         boxes, scores = look_closer(rgb_frame, looked_at, self.detector)
         plausible = are_plausible(boxes, rgb_frame.shape, self.scan)
         plausible &= stand_on_road(boxes, road or usual_road(len(rgb_frame)), len(rgb_frame))
-        outside = margins_outside(boxes, rgb_frame.shape)
-        scores = scores + _GAIN_AT_SIDE * outside[:, [0, 2]].max(axis=1)
         if road is not None:
             # Of what the border cuts, only the bonnet may be in sight.
-            whole = 1 - outside.max(axis=1)
+            whole = 1 - margins_outside(boxes, rgb_frame.shape).max(axis=1)
             scores = scores - _COST_OF_LOWNESS * whole * lowness(boxes, road, len(rgb_frame))
         trusted = scores + _TRUST_IN_TRACKS * (np.arange(len(boxes)) < len(expected))
         plausible = np.flatnonzero(plausible)

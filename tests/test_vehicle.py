@@ -165,20 +165,6 @@ def test_pictures_show_the_vehicles(path):
     assert vehicle.draw_split_screen(frame, detections).shape == frame.shape
 
 
-def test_what_a_side_of_the_frame_cuts_scores_a_fifth_more(path, monkeypatch):
-    vehicle = Vehicle(None, path)
-    (frame,) = frames(1)
-    rows, columns = frame.shape[:2]
-    side, top = rows // 4, rows // 2
-    lefts = np.array([0, columns // 2, columns - side])
-    boxes = np.stack([lefts, lefts * 0 + top, lefts + side, lefts * 0 + top + side], axis=1)
-    found = boxes.astype(float), np.array([0.5, 0.6, 0.7], np.float32)
-    monkeypatch.setattr("vehicle.look_closer", lambda img, boxes, detector: found)
-    detections = vehicle.detect(frame)
-    np.testing.assert_array_equal(detections.candidates[:, 0], lefts[[2, 0, 1]])
-    np.testing.assert_allclose(detections.candidate_scores, [0.9, 0.7, 0.6])
-
-
 def test_the_shipped_detector_follows_the_vehicles_of_the_shipped_clip():
     vehicle = Vehicle(None, ROOT / "param/detector.npz")
     clip = islice(read_frames(ROOT / "videos/drive.mp4"), 60)
