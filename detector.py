@@ -39,16 +39,17 @@ PATCH_MARGIN = 1
 PATCH_CELL = 8
 # HOG of the luma, mean colour.
 CELL_FEATURES = ORIENTATIONS + 3
-# The same, then HOG of the chroma. That tells where edges are, but not what is a
-# vehicle: with it, those of a camera that was not learned from score low.
-PATCH_FEATURES = CELL_FEATURES + 2 * ORIENTATIONS
+# HOG of the chroma tells where edges are, but not what is a vehicle: with it, those of
+# a camera that was not learned from score low.
+CHROMA_FEATURES = 2 * ORIENTATIONS
 # Gradients of a window's cell are held against those of so many cells each way.
 SURROUNDINGS = 9
 PATCH_SIDE = PATCH_CELLS + 2 * PATCH_MARGIN
 # Left, top, right, bottom: which margins are outside of the frame.
 N_BORDERS = 4
+_INNER = slice(PATCH_MARGIN, PATCH_MARGIN + PATCH_CELLS)
 N_INNER_FEATURES = PATCH_CELLS**2 * CELL_FEATURES + N_BORDERS
-N_ALL_FEATURES = PATCH_SIDE**2 * PATCH_FEATURES + N_BORDERS
+N_ALL_FEATURES = PATCH_SIDE**2 * (CELL_FEATURES + CHROMA_FEATURES) + N_BORDERS
 
 # Suppression compares each box with each: only so many of the best.
 _MOST_BOXES = 400
@@ -59,8 +60,10 @@ _WORTH_A_THREAD = 2
 
 # Where there are no gradients at all, in roots of grey levels.
 _LEAST_LENGTH = np.float32(1e-3)
+# Where there is next to no light and shade, as a share of white.
+_LEAST_SPREAD = np.float32(0.03)
 
-FORMAT_VERSION = 5
+FORMAT_VERSION = 6
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,7 @@ class ScanParams:
     cells_per_step: int = 2
     n_groups: int = 6
     threshold: float = -0.5
-    n_proposals: int = 8
+    n_proposals: int = 12
     n_entering: int = 2
     overlap: float = 0.5
 
@@ -507,48 +510,127 @@ def _without_margins(boxes):
     return np.hstack([boxes[:, :2] + aside, boxes[:, 2:] - aside])
 
 
-def patch_features(img, boxes, with_chroma=True):
-    """HOG and mean colour of the cells of every box and its margin.
+def cut_patches(img, boxes):
+    """Every box and its margin, in one size.
 
     Parameters
     ----------
     img : ndarray of uint8, shape (rows, columns, 3)
         RGB.
     boxes : ndarray of float, shape (n, 4)
-    with_chroma : bool
-        False leaves HOG of the chroma out, which takes two thirds of the time.
 
     Returns
     -------
-    features : ndarray of float32, shape (n, PATCH_SIDE, PATCH_SIDE, PATCH_FEATURES)
-        HOG of the luma, mean colour, HOG of the chroma; or, without that, CELL_FEATURES
-        a cell.
+    patches : ndarray of uint8, shape (n, PATCH_SIDE * PATCH_CELL, PATCH_SIDE * PATCH_CELL, 3)
+        RGB.
     """
-    n_features = PATCH_FEATURES if with_chroma else CELL_FEATURES
-    features = np.empty((len(boxes), PATCH_SIDE, PATCH_SIDE, n_features), np.float32)
-    if not len(boxes):
-        return features
     size = PATCH_SIDE * PATCH_CELL, PATCH_SIDE * PATCH_CELL
-    patches = np.array(
-        [convert_color(cut_out(img, box, size), COLOR) for box in _with_margins(boxes).tolist()]
-    )
-    n_channels = 3 if with_chroma else 1
-    # All patches are the channels of one image, for a pass of HOG has its price.
-    channels = patches[..., :n_channels].transpose(1, 2, 3, 0).reshape(*size, -1)
-    histograms = cell_histograms(channels, ORIENTATIONS, PATCH_CELL)
-    histograms = histograms.reshape(n_channels, len(boxes), PATCH_SIDE, PATCH_SIDE, ORIENTATIONS)
+    patches = np.empty((len(boxes), *size, 3), np.uint8)
+    for patch, box in zip(patches, _with_margins(boxes).tolist(), strict=True):
+        patch[:] = cut_out(img, box, size)
+    return patches
+
+
+def patch_features(patches):
+    """HOG of the luma and relative colours of the cells of every patch.
+
+    Of HOG the square roots are taken, as of SIFT [1]_: otherwise the distance of two
+    patches would be that of their strongest edges, and the faint ones would not count.
+
+    Parameters
+    ----------
+    patches : ndarray of uint8, shape (n, ..., 3)
+        RGB, see `cut_patches`.
+
+    Returns
+    -------
+    features : ndarray of float32, shape (n, PATCH_SIDE, PATCH_SIDE, CELL_FEATURES)
+    contrast : ndarray of float32, shape (n,)
+        Mean of `cell_lengths` of the luma.
+
+    References
+    ----------
+    .. [1] R. Arandjelovic and A. Zisserman, "Three things everyone should know to
+           improve object retrieval", CVPR 2012.
+    """
+    features = np.empty((len(patches), PATCH_SIDE, PATCH_SIDE, CELL_FEATURES), np.float32)
+    converted = _convert_patches(patches)
+    histograms = _patch_histograms(converted[..., :1])[0]
     lengths = cell_lengths(histograms)
-    # Chroma too is held against the luma: faint as it is, it is noise.
-    around = lengths[0].mean(axis=(1, 2), keepdims=True)
-    normalised = normalise_cells(histograms, lengths, around)
-    features[..., :ORIENTATIONS] = normalised[0]
-    for channel, hog in enumerate(normalised[1:]):
-        first = CELL_FEATURES + channel * ORIENTATIONS
-        features[..., first : first + ORIENTATIONS] = hog
-    for patch, own in zip(patches, features, strict=True):
-        means = cv2.resize(patch, (PATCH_SIDE, PATCH_SIDE), interpolation=cv2.INTER_AREA)
-        np.multiply(means, np.float32(1 / 255), out=own[..., ORIENTATIONS:CELL_FEATURES])
-    return features
+    contrast = lengths.mean(axis=(1, 2))
+    around = contrast[:, None, None]
+    features[..., :ORIENTATIONS] = np.sqrt(normalise_cells(histograms, lengths, around))
+    features[..., ORIENTATIONS:] = relative_colors(converted)
+    return features, contrast
+
+
+def chroma_features(patches, contrast):
+    """Square roots of HOG of the chroma of the cells of every patch.
+
+    Parameters
+    ----------
+    patches : ndarray of uint8, shape (n, ..., 3)
+        RGB, see `cut_patches`.
+    contrast : ndarray of float32, shape (n,)
+        Of the luma, see `patch_features`: faint as chroma is by itself, it is noise.
+
+    Returns
+    -------
+    features : ndarray of float32, shape (n, PATCH_SIDE, PATCH_SIDE, CHROMA_FEATURES)
+    """
+    histograms = _patch_histograms(_convert_patches(patches)[..., 1:])
+    around = contrast[:, None, None]
+    channels = [normalise_cells(own, cell_lengths(own), around) for own in histograms]
+    return np.sqrt(np.concatenate(channels, axis=-1))
+
+
+def _convert_patches(patches):
+    """Patches in `COLOR`; one below the other, they are one image."""
+    n, rows, columns, _ = patches.shape
+    if not n:
+        return patches
+    return convert_color(patches.reshape(n * rows, columns, 3), COLOR).reshape(patches.shape)
+
+
+def _patch_histograms(patches):
+    """`dense_hog.cell_histograms` of patches, shape (channels, n, side, side, orientations)."""
+    n, rows, columns, n_channels = patches.shape
+    shape = n_channels, n, PATCH_SIDE, PATCH_SIDE, ORIENTATIONS
+    if not n:
+        return np.empty(shape, np.float32)
+    # All patches are the channels of one image, for a pass of HOG has its price.
+    channels = patches.transpose(1, 2, 3, 0).reshape(rows, columns, -1)
+    return cell_histograms(channels, ORIENTATIONS, PATCH_CELL).reshape(shape)
+
+
+def relative_colors(patches):
+    """Mean colours of cells, less that of the box; the luma by its spread over the box.
+
+    How bright a camera shows a vehicle, in what colour of light and behind what haze,
+    says nothing of what it is.
+
+    Parameters
+    ----------
+    patches : ndarray of uint8, shape (n, ..., 3)
+        Luma and two of chroma.
+
+    Returns
+    -------
+    colors : ndarray of float32, shape (n, PATCH_SIDE, PATCH_SIDE, 3)
+        The luma in standard deviations of the cells of the box, the chroma as shares
+        of 255.
+    """
+    n, rows, columns, _ = patches.shape
+    if not n:
+        return np.empty((0, PATCH_SIDE, PATCH_SIDE, 3), np.float32)
+    below_each_other = patches.reshape(n * rows, columns, 3)
+    size = PATCH_SIDE, n * PATCH_SIDE
+    means = cv2.resize(below_each_other, size, interpolation=cv2.INTER_AREA)
+    means = means.reshape(n, PATCH_SIDE, PATCH_SIDE, 3) * np.float32(1 / 255)
+    means -= means[:, _INNER, _INNER].mean(axis=(1, 2), keepdims=True)
+    variance = (means[:, _INNER, _INNER, :1] ** 2).mean(axis=(1, 2), keepdims=True)
+    means[..., :1] /= np.sqrt(variance + _LEAST_SPREAD**2)
+    return means
 
 
 def margins_outside(boxes, frame_shape):
@@ -576,18 +658,21 @@ def margins_outside(boxes, frame_shape):
 
 
 def inner_cells(features, outside):
-    """What tells vehicles: boxes without margins and chroma's HOG, and `margins_outside`.
+    """What tells vehicles: boxes without margins, and `margins_outside`.
 
     Shape (n, N_INNER_FEATURES).
     """
-    inner = slice(PATCH_MARGIN, PATCH_MARGIN + PATCH_CELLS)
-    cells = features[:, inner, inner, :CELL_FEATURES].reshape(-1, N_INNER_FEATURES - N_BORDERS)
+    cells = features[:, _INNER, _INNER].reshape(-1, N_INNER_FEATURES - N_BORDERS)
     return np.hstack([cells, outside])
 
 
-def all_cells(features, outside):
-    """What tells edges: boxes with their margins, and `margins_outside`: (n, N_ALL_FEATURES)."""
-    return np.hstack([features.reshape(-1, N_ALL_FEATURES - N_BORDERS), outside])
+def all_cells(features, chroma, outside):
+    """What tells edges: boxes with their margins, HOG of the chroma too, and `margins_outside`.
+
+    Shape (n, N_ALL_FEATURES).
+    """
+    cells = np.concatenate([features, chroma], axis=-1)
+    return np.hstack([cells.reshape(-1, N_ALL_FEATURES - N_BORDERS), outside])
 
 
 def move_edges(boxes, shifts):
@@ -626,13 +711,15 @@ def _look_closer(img, boxes, detector):
     """`look_closer` on one core."""
     boxes = on_whole_pixels(boxes)
     outside = margins_outside(boxes, img.shape)
-    features = patch_features(img, boxes)
+    patches = cut_patches(img, boxes)
+    features, contrast = patch_features(patches)
     scores = detector.scorer.predict(inner_cells(features, outside))[:, 0]
     near = scores > _HOPELESS
-    shifts = detector.regressor.predict(all_cells(features[near], outside[near]))
+    chroma = chroma_features(patches[near], contrast[near])
+    shifts = detector.regressor.predict(all_cells(features[near], chroma, outside[near]))
     moved = on_whole_pixels(move_edges(boxes[near], shifts))
     boxes[near] = moved
-    features = patch_features(img, moved, with_chroma=False)
+    features, _ = patch_features(cut_patches(img, moved))
     outside = margins_outside(moved, img.shape)
     scores[near] = detector.scorer.predict(inner_cells(features, outside))[:, 0]
     return boxes, scores

@@ -40,7 +40,9 @@ from detector import (
     Template,
     all_cells,
     cell_features,
+    chroma_features,
     cut_out,
+    cut_patches,
     inner_cells,
     level_groups,
     margins_outside,
@@ -254,8 +256,7 @@ def random_camera(example, rng):
             img = cv2.GaussianBlur(img, (0, 0), rng.uniform(0.3, 1.0))
         img = random_exposure(img, rng)
         if rng.random() < 0.5:
-            quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(30, 90))]
-            img = cv2.imdecode(cv2.imencode(".jpg", img, quality)[1], cv2.IMREAD_COLOR)
+            img = compressed(img, rng.integers(30, 90))
     rows, columns = img.shape[:2]
     boxes = np.clip(boxes, 0, (columns, rows, columns, rows))
     width, height = (boxes[:, 2:] - boxes[:, :2]).T
@@ -314,6 +315,53 @@ def random_crop(path, rng):
     size = _CROP_SIDE, _CROP_SIDE
     img = cv2.resize(random_exposure(img, rng), size, interpolation=cv2.INTER_LINEAR)
     return img
+
+
+def worn(patches, rng):
+    """Half of some patches as a worse camera might have shown them.
+
+    Of fewer pixels, out of focus, compressed, in haze or in shade. A vehicle far away
+    is so in any camera's picture, and most that are learned from are near.
+
+    Parameters
+    ----------
+    patches : ndarray of uint8, shape (n, side, side, 3)
+        RGB.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    patches : ndarray of uint8, shape (n, side, side, 3)
+    """
+    seen = patches.copy()
+    for i in np.flatnonzero(rng.random(len(patches)) < 0.5):
+        seen[i] = _worn(patches[i], rng)
+    return seen
+
+
+def _worn(patch, rng):
+    size = patch.shape[1::-1]
+    if rng.random() < 0.7:
+        side = round(size[0] * np.exp(rng.uniform(np.log(0.22), np.log(0.88))))
+        small = cv2.resize(patch, (side, side), interpolation=cv2.INTER_AREA)
+        if rng.random() < 0.5:
+            small = cv2.GaussianBlur(small, (0, 0), rng.uniform(0.4, 1.0))
+        if rng.random() < 0.6:
+            small = compressed(small, rng.integers(25, 80))
+        patch = cv2.resize(small, size, interpolation=cv2.INTER_LINEAR)
+    if rng.random() < 0.5:
+        black = rng.uniform(0, 80)
+        white = rng.uniform(black + 60, 255)
+        gamma = np.exp(rng.normal(0, 0.35))
+        curve = black + (white - black) * np.linspace(0, 1, 256) ** gamma
+        patch = cv2.LUT(patch, curve.astype(np.uint8))
+    return patch
+
+
+def compressed(img, quality):
+    """The image as JPEG of this quality, from 0 to 100, shows it."""
+    encoded = cv2.imencode(".jpg", img, [cv2.IMWRITE_JPEG_QUALITY, int(quality)])[1]
+    return cv2.imdecode(encoded, cv2.IMREAD_COLOR)
 
 
 def jittered(boxes, spread, rng):
@@ -552,7 +600,7 @@ def edge_samples(item, templates):
     example, rng = item
     img, boxes, required = random_camera(example, rng)
     windows = candidates(img, boxes, required, templates, rng)
-    return _edges(img, windows, boxes[required], np.ones(N_BORDERS))
+    return _edges(img, windows, boxes[required], np.ones(N_BORDERS), rng)
 
 
 def crop_edge_samples(item):
@@ -561,10 +609,10 @@ def crop_edge_samples(item):
     img, boxes, required = random_camera(example, rng)
     # It goes on beyond the margin; but what cut the vehicle may as well have been the frame's end.
     ends = (margins_outside(boxes, img.shape) == 1).any(axis=0)
-    return _edges(img, with_moved_edges(boxes[required], rng), boxes[required], ends)
+    return _edges(img, with_moved_edges(boxes[required], rng), boxes[required], ends, rng)
 
 
-def _edges(img, windows, vehicles, ends):
+def _edges(img, windows, vehicles, ends, rng):
     """Windows around vehicles as `edge_samples`; `ends` is 0 on sides where no frame ends."""
     windows = on_whole_pixels(windows[best_iou(windows, vehicles) > _NOTHING_IOU])
     own = np.empty((0, 4))
@@ -572,7 +620,9 @@ def _edges(img, windows, vehicles, ends):
         own = vehicles[pairwise_iou(windows, vehicles).argmax(axis=1)]
     size = np.tile(windows[:, 2:] - windows[:, :2], 2)
     outside = margins_outside(windows, img.shape) * ends
-    features = all_cells(patch_features(img, windows), outside)
+    patches = worn(cut_patches(img, windows), rng)
+    features, contrast = patch_features(patches)
+    features = all_cells(features, chroma_features(patches, contrast), outside)
     return features.astype(np.float16), (own - windows) / size
 
 
@@ -707,14 +757,17 @@ def patch_samples(item, templates, regressor, scorer=None):
     img, boxes, required = random_camera(example, rng)
     windows = on_whole_pixels(candidates(img, boxes, required, templates, rng))
     outside = margins_outside(windows, img.shape)
-    shifts = regressor.predict(all_cells(patch_features(img, windows), outside))
+    patches = cut_patches(img, windows)
+    features, contrast = patch_features(patches)
+    chroma = chroma_features(patches, contrast)
+    shifts = regressor.predict(all_cells(features, chroma, outside))
     windows = on_whole_pixels(move_edges(windows, shifts))
     iou = best_iou(windows, boxes[required])
     # A part of a vehicle is none, or it would be found beside the whole.
     nothing = (iou < _NOTHING_IOU) & is_nothing(windows, boxes[~required], 0.3, 0.5)
     clear = (iou > _VEHICLE_IOU) | nothing
     windows = windows[clear]
-    features = patch_features(img, windows, with_chroma=False)
+    features, _ = patch_features(worn(cut_patches(img, windows), rng))
     features = inner_cells(features, margins_outside(windows, img.shape))
     labels = (iou[clear] > _VEHICLE_IOU).astype(int)
     if scorer is not None:
@@ -739,7 +792,7 @@ def crop_patches(training_set, rng):
         boxes = np.concatenate([[whole, cut], parts])
         all_outside = np.zeros((len(boxes), N_BORDERS))
         all_outside[1] = outside
-        features = patch_features(random_crop(path, rng), boxes, with_chroma=False)
+        features, _ = patch_features(worn(cut_patches(random_crop(path, rng), boxes), rng))
         features = inner_cells(features, all_outside)
         yield features.astype(np.float16), np.array([label, label, *np.zeros(len(parts), int)])
 

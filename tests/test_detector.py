@@ -15,6 +15,7 @@ from conftest import random_detector, textured_image
 from dense_hog import cell_histograms
 from detector import (
     CELL_FEATURES,
+    CHROMA_FEATURES,
     COLOR,
     FORMAT_VERSION,
     N_ALL_FEATURES,
@@ -23,7 +24,6 @@ from detector import (
     ORIENTATIONS,
     PATCH_CELL,
     PATCH_CELLS,
-    PATCH_FEATURES,
     PATCH_MARGIN,
     PATCH_SIDE,
     SURROUNDINGS,
@@ -36,7 +36,9 @@ from detector import (
     are_plausible,
     cell_features,
     cell_lengths,
+    chroma_features,
     cut_out,
+    cut_patches,
     inner_cells,
     keep_wholes,
     level_groups,
@@ -49,6 +51,7 @@ from detector import (
     on_whole_pixels,
     patch_features,
     propose,
+    relative_colors,
     save_detector,
     suppress,
     window_scores,
@@ -269,34 +272,73 @@ def test_boxes_on_whole_pixels_stay_where_they_are(count, seed):
     np.testing.assert_allclose(on_whole_pixels(whole), whole, atol=1e-9)
 
 
-def test_patches_hold_hog_and_mean_colour():
+def test_patches_hold_hog_and_relative_colours():
     img = textured_image(2, 240, 320)
     boxes = on_whole_pixels(np.array([(30.0, 40, 30 + SIDE, 40 + SIDE), (100.5, 60.2, 330, 170)]))
-    features = patch_features(img, boxes)
-    assert features.shape == (2, PATCH_SIDE, PATCH_SIDE, PATCH_FEATURES)
-    for box, own in zip(boxes, features, strict=True):
+    patches = cut_patches(img, boxes)
+    luma, contrast = patch_features(patches)
+    chroma = chroma_features(patches, contrast)
+    assert luma.shape == (2, PATCH_SIDE, PATCH_SIDE, CELL_FEATURES)
+    assert chroma.shape == (2, PATCH_SIDE, PATCH_SIDE, CHROMA_FEATURES)
+    hog = np.concatenate([luma[..., :ORIENTATIONS], chroma], axis=-1)
+    colors = luma[..., ORIENTATIONS:]
+    for box, own_hog, own_colors, own_patch in zip(boxes, hog, colors, patches, strict=True):
         margin = np.tile(box[2:] - box[:2], 2) / PATCH_CELLS * (-1, -1, 1, 1)
         size = PATCH_SIDE * PATCH_CELL, PATCH_SIDE * PATCH_CELL
-        patch = convert_color(cut_out(img, (box + margin).round().astype(int), size), COLOR)
+        patch = cut_out(img, (box + margin).round().astype(int), size)
+        np.testing.assert_array_equal(own_patch, patch)
+        patch = convert_color(patch, COLOR)
         raw = np.linalg.norm(cell_histograms(patch, ORIENTATIONS, PATCH_CELL), axis=-1)
-        for channel, first in enumerate((0, CELL_FEATURES, CELL_FEATURES + ORIENTATIONS)):
-            lengths, units = lengths_and_units(own[..., first : first + ORIENTATIONS])
+        for channel, own in enumerate(np.split(own_hog**2, 3, axis=-1)):
+            lengths, units = lengths_and_units(own)
             expected = unit_histograms(patch[..., channel], PATCH_CELL)
             np.testing.assert_allclose(units, expected, atol=1e-5)
             # All of them are held against the luma.
             expected = raw[channel] / np.hypot(raw[channel], raw[0].mean())
             np.testing.assert_allclose(lengths, expected, atol=1e-5)
-        mean = patch[8:16, 16:24].mean(axis=(0, 1)) / 255
-        np.testing.assert_allclose(own[1, 2, ORIENTATIONS:CELL_FEATURES], mean, atol=0.003)
-    assert patch_features(img, boxes[:0]).shape == (0, *features.shape[1:])
-    outside = np.arange(2 * N_BORDERS, dtype=np.float32).reshape(2, N_BORDERS)
-    every = features.reshape(2, N_ALL_FEATURES - N_BORDERS)
-    np.testing.assert_array_equal(all_cells(features, outside), np.hstack([every, outside]))
-    luma = patch_features(img, boxes, with_chroma=False)
-    np.testing.assert_array_equal(luma, features[..., :CELL_FEATURES])
+        cells = patch.reshape(PATCH_SIDE, PATCH_CELL, PATCH_SIDE, PATCH_CELL, 3).mean(axis=(1, 3))
+        cells = cells / 255 - cells[1:-1, 1:-1].mean(axis=(0, 1)) / 255
+        spread = np.hypot(cells[1:-1, 1:-1, 0].std(), 0.03)
+        # Means of cells are whole numbers.
+        np.testing.assert_allclose(spread * own_colors[..., 0], cells[..., 0], atol=0.0045)
+        np.testing.assert_allclose(own_colors[..., 1:], cells[..., 1:], atol=0.0045)
+
+
+def test_what_tells_vehicles_and_what_tells_edges():
+    rng = np.random.default_rng(0)
+    luma, chroma = (
+        rng.normal(size=(2, PATCH_SIDE, PATCH_SIDE, n)) for n in (CELL_FEATURES, CHROMA_FEATURES)
+    )
+    outside = rng.random((2, N_BORDERS))
+    every = np.concatenate([luma, chroma], axis=-1).reshape(2, N_ALL_FEATURES - N_BORDERS)
+    np.testing.assert_array_equal(all_cells(luma, chroma, outside), np.hstack([every, outside]))
     inner = luma[:, 1:-1, 1:-1].reshape(2, N_INNER_FEATURES - N_BORDERS)
-    for described in (features, luma):
-        np.testing.assert_array_equal(inner_cells(described, outside), np.hstack([inner, outside]))
+    np.testing.assert_array_equal(inner_cells(luma, outside), np.hstack([inner, outside]))
+
+
+def test_no_patches_have_no_features():
+    patches = cut_patches(textured_image(2, 24, 32), np.empty((0, 4)))
+    side = PATCH_SIDE * PATCH_CELL
+    assert patches.shape == (0, side, side, 3)
+    luma, contrast = patch_features(patches)
+    assert luma.shape == (0, PATCH_SIDE, PATCH_SIDE, CELL_FEATURES) and contrast.shape == (0,)
+    chroma = chroma_features(patches, contrast)
+    assert chroma.shape == (0, PATCH_SIDE, PATCH_SIDE, CHROMA_FEATURES)
+
+
+@settings(max_examples=30)
+@given(gain=st.floats(0.5, 1), haze=st.floats(0, 30), seed=st.integers(0, 1000))
+def test_relative_colours_know_no_exposure_or_haze(gain, haze, seed):
+    rng, side = np.random.default_rng(seed), PATCH_SIDE * PATCH_CELL
+    coarse = rng.choice([20.0, 220.0], size=(PATCH_SIDE, PATCH_SIDE, 1)) + rng.uniform(-9, 9, 3)
+    patch = np.kron(coarse, np.ones((PATCH_CELL, PATCH_CELL, 1)))[None]
+    darker = gain * patch + haze
+    own, other = (relative_colors(np.rint(p).astype(np.uint8)) for p in (patch, darker))
+    assert own.shape == (1, PATCH_SIDE, PATCH_SIDE, 3) and side == patch.shape[1]
+    np.testing.assert_allclose(other[..., 0], own[..., 0], atol=0.06)
+    np.testing.assert_allclose(other[..., 1:], gain * own[..., 1:], atol=0.01)
+    plain = relative_colors(np.full((1, side, side, 3), 77, np.uint8))
+    np.testing.assert_allclose(plain, 0, atol=1e-5)
 
 
 @pytest.mark.parametrize("describe", ["window", "patch"])
@@ -307,9 +349,10 @@ def test_faint_noise_stays_small_and_exposure_changes_no_gradient(describe):
     noisy = img + rng.integers(0, 3, img.shape).astype(np.uint8)
 
     def gradients(img):
-        box = np.array([[16.0, 16, 144, 144]])
-        cells = cell_features(img) if describe == "window" else patch_features(img, box)[0]
-        return cells[..., :ORIENTATIONS]
+        if describe == "window":
+            return cell_features(img)[..., :ORIENTATIONS]
+        patches = cut_patches(img, np.array([[16.0, 16, 144, 144]]))
+        return patch_features(patches)[0][0, ..., :ORIENTATIONS] ** 2
 
     plain, lengths = (np.linalg.norm(gradients(x), axis=2) for x in (img, noisy))
     at_edge = plain > 0.3
@@ -358,7 +401,11 @@ def test_the_closer_look_scores_where_it_moved_the_box():
     detector = random_detector(0)
 
     def described(box, cells):
-        return cells(patch_features(img, box[None]), margins_outside(box[None], img.shape))
+        patches, outside = cut_patches(img, box[None]), margins_outside(box[None], img.shape)
+        luma, contrast = patch_features(patches)
+        if cells is inner_cells:
+            return inner_cells(luma, outside)
+        return all_cells(luma, chroma_features(patches, contrast), outside)
 
     none, no_scores = look_closer(img, np.empty((0, 4)), detector)
     assert none.shape == (0, 4) and no_scores.shape == (0,)
@@ -375,7 +422,8 @@ def test_what_is_hopeless_where_it_was_proposed_is_not_moved():
     img, detector = textured_image(4, 240, 320), random_detector(0)
     boxes = on_whole_pixels(random_boxes(np.random.default_rng(0), 9))
     outside = margins_outside(boxes, img.shape)
-    own = detector.scorer.predict(inner_cells(patch_features(img, boxes), outside))[:, 0]
+    features, _ = patch_features(cut_patches(img, boxes))
+    own = detector.scorer.predict(inner_cells(features, outside))[:, 0]
     # So that the middle one is at the limit, and half of them are below it.
     limited = detector.scorer.bias - np.float32(np.median(own) + 1)
     detector = replace(detector, scorer=replace(detector.scorer, bias=limited))

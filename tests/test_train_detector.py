@@ -49,6 +49,7 @@ from train_detector import (
     steepest_directions,
     train_regressor,
     window_features,
+    worn,
 )
 from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
 from video import VideoInfo, video_writer
@@ -136,6 +137,32 @@ def test_any_camera_sees_the_vehicle_in_its_box(seed):
         assert inside[:, 2].mean() < rest[:, 2].mean() - 5
 
 
+@settings(max_examples=20)
+@given(count=st.integers(0, 12), seed=st.integers(0, 1000))
+def test_half_of_the_patches_are_worn(count, seed):
+    patches = np.array([textured_image(seed + i, 80, 80) for i in range(count)], np.uint8)
+    patches = patches.reshape(-1, 80, 80, 3)
+    seen = worn(patches, np.random.default_rng(seed))
+    assert seen.shape == patches.shape and seen.dtype == np.uint8
+    np.testing.assert_array_equal(seen, worn(patches, np.random.default_rng(seed)))
+    for before, after in zip(patches, seen, strict=True):
+        # What is light stays light, and where it is stays where it is.
+        gray = (
+            cv2.GaussianBlur(p, (0, 0), 6).astype(float)[..., 1].ravel() for p in (before, after)
+        )
+        assert np.corrcoef(*gray)[0, 1] > 0.8
+
+
+def test_worn_patches_show_less():
+    patches = np.array([textured_image(i, 80, 80) for i in range(200)])
+    seen = worn(patches, np.random.default_rng(0))
+    changed = (seen != patches).any(axis=(1, 2, 3))
+    # Of each half, three in twenty are left as they are by chance.
+    assert 0.3 < changed.mean() < 0.55
+    steps = (np.abs(np.diff(p.astype(float), axis=2)).mean() for p in (patches, seen))
+    assert np.divide(*steps) > 1.15
+
+
 @given(count=st.integers(0, 6), seed=st.integers(0, 1000))
 def test_parts_and_jittered_boxes(count, seed):
     rng, boxes = np.random.default_rng(seed), boxes_of(seed, count)
@@ -203,7 +230,7 @@ def test_a_crop_ends_only_where_it_cuts_the_vehicle(monkeypatch, box, ends):
     monkeypatch.setattr(
         train_detector, "random_camera", lambda e, _: (e.read(), e.boxes, e.required)
     )
-    features, shifts = crop_edge_samples((crop_of(box), None))
+    features, shifts = crop_edge_samples((crop_of(box), np.random.default_rng(0)))
     windows = on_whole_pixels(np.tile(moved, (3, 1)))
     size = np.tile(windows[:, 2:] - windows[:, :2], 2)
     np.testing.assert_allclose(windows + shifts * size, np.tile(box, (9, 1)))
