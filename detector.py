@@ -102,7 +102,7 @@ class ScanParams:
     ratio: float = 1.25
     horizon: tuple = (0.42, 0.62)
     cells_per_step: int = 2
-    n_groups: int = 6
+    n_groups: int = 4
     threshold: float = -0.5
     n_proposals: int = 12
     n_entering: int = 2

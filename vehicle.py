@@ -31,7 +31,7 @@ from viewer import Viewer
 DEFAULT_TRACKS = TrackParams(
     min_iou=0.2, max_growth=1.4, reach=0.25, max_missed=75,
     measurement_noise=0.1, process_noise=0.01, kept_velocity=0.8,
-    birth=2.5, most_evidence=8.0, neutral_score=0.4, miss_cost=0.9,
+    birth=2.0, most_evidence=8.0, neutral_score=0.35, miss_cost=0.9,
 )  # fmt: skip
 # A still is searched at all scales at once, and has no other frame to agree with.
 STILL_SCAN = ScanParams(cells_per_step=1, n_groups=1, n_proposals=12)
