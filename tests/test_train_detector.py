@@ -157,7 +157,7 @@ def test_worn_patches_show_less():
     patches = np.array([textured_image(i, 80, 80) for i in range(200)])
     seen = worn(patches, np.random.default_rng(0))
     changed = (seen != patches).any(axis=(1, 2, 3))
-    # Of each half, three in twenty are left as they are by chance.
+    # Of that half, three in twenty are left as they are by chance.
     assert 0.3 < changed.mean() < 0.55
     steps = (np.abs(np.diff(p.astype(float), axis=2)).mean() for p in (patches, seen))
     assert np.divide(*steps) > 1.15
