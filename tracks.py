@@ -189,6 +189,16 @@ class Track:
             self._filter.statePost = state
             self.box[edge] += widening
 
+    def is_leaving(self, n_columns):
+        """Whether it ends at the left or right of the frame, and was not just coming in there."""
+        left, _, right, _ = self.box
+        near = _AT_SIDE * (right - left)
+        left_speed, _, right_speed, _ = self._filter.statePost[4:, 0]
+        # The other edge lies where the frame ends, not where the vehicle does.
+        at_left = left < near and right_speed <= 0
+        at_right = right > n_columns - near and left_speed >= 0
+        return at_left or at_right
+
     def _slow_down(self):
         state = self._filter.statePost.copy()
         state[4:] *= self._params.kept_velocity
@@ -227,13 +237,6 @@ def _widened(boxes, share):
     """Boxes with a share of their width added on each side."""
     aside = share * (boxes[:, 2] - boxes[:, 0])
     return boxes + aside[:, None] * (-1, 0, 1, 0)
-
-
-def _is_at_side(box, n_columns):
-    """Whether a box ends at the left or right of the frame."""
-    left, _, right, _ = box
-    near = _AT_SIDE * (right - left)
-    return left < near or right > n_columns - near
 
 
 class Tracker:
@@ -357,13 +360,13 @@ class Tracker:
         return np.where(alike & (iou >= self.params.min_iou), iou, 0)
 
     def _is_kept(self, track, n_columns):
-        """What was a vehicle may come back for a while, unless it left at the side of the frame.
+        """What was a vehicle may come back for a while, unless it left at a side of the frame.
 
         What never was one must go on growing.
         """
         if not track.identity:
             return track.evidence > 0
-        if not track.is_shown and n_columns is not None and _is_at_side(track.box, n_columns):
+        if not track.is_shown and n_columns is not None and track.is_leaving(n_columns):
             return False
         n_absent = track.n_missed - track.n_hidden
         return n_absent + track.n_hidden / _HIDDEN_FRAMES <= self.params.max_missed

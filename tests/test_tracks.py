@@ -293,6 +293,25 @@ def test_what_leaves_at_the_side_does_not_come_back(left, identity):
     assert identities(boxes(box_at(left))) == [identity]
 
 
+@pytest.mark.parametrize("at_left", [True, False])
+@pytest.mark.parametrize(("growth", "identity"), [(4, 1), (-4, 2)])
+def test_what_was_coming_in_at_the_side_has_not_left(at_left, growth, identity):
+    tracker = Tracker(TrackParams(max_missed=50, kept_velocity=0.8))
+
+    def identities(of_frame):
+        tracker.predict()
+        tracks = tracker.update(of_frame, np.ones(len(of_frame)), n_columns=460)
+        return [track.identity for track in tracks]
+
+    for n in range(8):
+        width = 60 + growth * n
+        box = box_at(0 if at_left else 460 - width, width=width)
+        assert identities(boxes(box)) == [1]
+    for _ in range(5):
+        assert identities(boxes()) == []
+    assert identities(boxes(box)) == [identity]
+
+
 @pytest.mark.parametrize(("n_frames", "identity"), [(45, 1), (60, 3)])
 def test_hidden_frames_count_a_fifth(n_frames, identity):
     # A car draws level with one farther away, stays before it, and falls back again.
