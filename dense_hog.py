@@ -338,17 +338,32 @@ def correlate(cells, weights, step, shape):
 
 @njit(**_COMPILE, fastmath=_SUMS)
 def _correlate(cells, weights, step, first, last, sums):
-    """`correlate` for the window rows first..last."""
+    """`correlate` for the window rows first..last.
+
+    Four windows at a time share each weight that is read. At the end of a row, where
+    fewer are left, the last is taken again.
+    """
     _, columns, depth = cells.shape
     rows, width, _ = weights.shape
     runs = cells.reshape(-1, columns * depth)
     own_runs = weights.reshape(rows, width * depth)
+    n_windows, length, stride = sums.shape[1], width * depth, step * depth
+    zero = np.float32(0)
     for i in range(first, last):
-        for k in range(sums.shape[1]):
-            total = np.float32(0)
+        for k0 in range(0, n_windows, 4):
+            k1, k2, k3 = (
+                min(k0 + 1, n_windows - 1), min(k0 + 2, n_windows - 1), min(k0 + 3, n_windows - 1),
+            )  # fmt: skip
+            a, b, c, d = zero, zero, zero, zero
             for row in range(rows):
-                run = runs[i * step + row, k * step * depth : (k * step + width) * depth]
-                own = own_runs[row]
-                for n in range(own.size):
-                    total += np.float32(run[n]) * own[n]
-            sums[i, k] = total
+                run, own = runs[i * step + row], own_runs[row]
+                of_a = run[k0 * stride : k0 * stride + length]
+                of_b = run[k1 * stride : k1 * stride + length]
+                of_c = run[k2 * stride : k2 * stride + length]
+                of_d = run[k3 * stride : k3 * stride + length]
+                for n in range(length):
+                    a += np.float32(of_a[n]) * own[n]
+                    b += np.float32(of_b[n]) * own[n]
+                    c += np.float32(of_c[n]) * own[n]
+                    d += np.float32(of_d[n]) * own[n]
+            sums[i, k0], sums[i, k1], sums[i, k2], sums[i, k3] = a, b, c, d

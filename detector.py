@@ -221,33 +221,41 @@ _COMPILE = dict(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
 
 @njit(**_COMPILE)
 def _products(rows, others):
-    """rows @ others.T"""
-    products = np.empty((len(rows), len(others)), np.float32)
-    for k in range(len(others)):
-        other = others[k]
-        for i in range(len(rows)):
-            row = rows[i]
-            total = np.float32(0)
-            for n in range(other.size):
-                total += row[n] * other[n]
-            products[i, k] = total
+    """rows @ others.T
+
+    Of four rows with two others at a time: read once, every value is used more often. At
+    the end, where fewer are left, the last is taken again.
+    """
+    n, m = len(rows), len(others)
+    products = np.empty((n, m), np.float32)
+    zero = np.float32(0)
+    for k in range(0, m, 2):
+        last = min(k + 1, m - 1)
+        p, q = others[k], others[last]
+        for i in range(0, n, 4):
+            j1, j2, j3 = min(i + 1, n - 1), min(i + 2, n - 1), min(i + 3, n - 1)
+            a, b, c, d = rows[i], rows[j1], rows[j2], rows[j3]
+            ap, bp, cp, dp, aq, bq, cq, dq = zero, zero, zero, zero, zero, zero, zero, zero
+            for x in range(p.size):
+                ap += a[x] * p[x]
+                bp += b[x] * p[x]
+                cp += c[x] * p[x]
+                dp += d[x] * p[x]
+                aq += a[x] * q[x]
+                bq += b[x] * q[x]
+                cq += c[x] * q[x]
+                dq += d[x] * q[x]
+            products[i, k], products[i, last] = ap, aq
+            products[j1, k], products[j1, last] = bp, bq
+            products[j2, k], products[j2, last] = cp, cq
+            products[j3, k], products[j3, last] = dp, dq
     return products
 
 
-@njit(**_COMPILE)
 def _squared_distances(rows, others):
     """Of every row to every other, shape (n, m)."""
-    distances = np.empty((len(rows), len(others)), np.float32)
-    for k in range(len(others)):
-        other = others[k]
-        for i in range(len(rows)):
-            row = rows[i]
-            total = np.float32(0)
-            for n in range(other.size):
-                difference = row[n] - other[n]
-                total += difference * difference
-            distances[i, k] = total
-    return distances
+    squares, other_squares = (np.einsum("ij,ij->i", x, x) for x in (rows, others))
+    return squares[:, None] + other_squares - 2 * _products(rows, others)
 
 
 # --------------------------------------------------------------- first stage
@@ -531,7 +539,29 @@ def cut_patches(img, boxes):
     return patches
 
 
-def patch_features(patches):
+def luma_and_chroma(patches):
+    """Every patch in `COLOR`, channel by channel.
+
+    Parameters
+    ----------
+    patches : ndarray of uint8, shape (n, rows, columns, 3)
+        RGB.
+
+    Returns
+    -------
+    planes : ndarray of uint8, shape (3, n, rows, columns)
+        Luma and two of chroma.
+    """
+    n, rows, columns, _ = patches.shape
+    planes = np.empty((3, n, rows, columns), np.uint8)
+    if n:
+        # One below the other, they are one image.
+        whole = convert_color(patches.reshape(n * rows, columns, 3), COLOR)
+        cv2.split(whole, list(planes.reshape(3, n * rows, columns)))
+    return planes
+
+
+def patch_features(planes):
     """HOG of the luma and relative colours of the cells of every patch.
 
     Of HOG the square roots are taken, as of SIFT [1]_: otherwise the distance of two
@@ -539,8 +569,8 @@ def patch_features(patches):
 
     Parameters
     ----------
-    patches : ndarray of uint8, shape (n, ..., 3)
-        RGB, see `cut_patches`.
+    planes : ndarray of uint8, shape (3, n, rows, columns)
+        Of patches, see `luma_and_chroma`.
 
     Returns
     -------
@@ -553,24 +583,23 @@ def patch_features(patches):
     .. [1] R. Arandjelovic and A. Zisserman, "Three things everyone should know to
            improve object retrieval", CVPR 2012.
     """
-    features = np.empty((len(patches), PATCH_SIDE, PATCH_SIDE, CELL_FEATURES), np.float32)
-    converted = _convert_patches(patches)
-    histograms = _patch_histograms(converted[..., :1])[0]
+    features = np.empty((planes.shape[1], PATCH_SIDE, PATCH_SIDE, CELL_FEATURES), np.float32)
+    histograms = _patch_histograms(planes[:1])[0]
     lengths = cell_lengths(histograms)
     contrast = lengths.mean(axis=(1, 2))
     around = contrast[:, None, None]
     features[..., :ORIENTATIONS] = np.sqrt(normalise_cells(histograms, lengths, around))
-    features[..., ORIENTATIONS:] = relative_colors(converted)
+    features[..., ORIENTATIONS:] = relative_colors(planes)
     return features, contrast
 
 
-def chroma_features(patches, contrast):
+def chroma_features(planes, contrast):
     """Square roots of HOG of the chroma of the cells of every patch.
 
     Parameters
     ----------
-    patches : ndarray of uint8, shape (n, ..., 3)
-        RGB, see `cut_patches`.
+    planes : ndarray of uint8, shape (3, n, rows, columns)
+        Of patches, see `luma_and_chroma`.
     contrast : ndarray of float32, shape (n,)
         Of the luma, see `patch_features`: faint as chroma is by itself, it is noise.
 
@@ -578,32 +607,24 @@ def chroma_features(patches, contrast):
     -------
     features : ndarray of float32, shape (n, PATCH_SIDE, PATCH_SIDE, CHROMA_FEATURES)
     """
-    histograms = _patch_histograms(_convert_patches(patches)[..., 1:])
+    histograms = _patch_histograms(planes[1:])
     around = contrast[:, None, None]
     channels = [normalise_cells(own, cell_lengths(own), around) for own in histograms]
     return np.sqrt(np.concatenate(channels, axis=-1))
 
 
-def _convert_patches(patches):
-    """Patches in `COLOR`; one below the other, they are one image."""
-    n, rows, columns, _ = patches.shape
-    if not n:
-        return patches
-    return convert_color(patches.reshape(n * rows, columns, 3), COLOR).reshape(patches.shape)
-
-
-def _patch_histograms(patches):
-    """`dense_hog.cell_histograms` of patches, shape (channels, n, side, side, orientations)."""
-    n, rows, columns, n_channels = patches.shape
+def _patch_histograms(planes):
+    """`dense_hog.cell_histograms` of planes, shape (channels, n, side, side, orientations)."""
+    n_channels, n, rows, columns = planes.shape
     shape = n_channels, n, PATCH_SIDE, PATCH_SIDE, ORIENTATIONS
     if not n:
         return np.empty(shape, np.float32)
     # All patches are the channels of one image, for a pass of HOG has its price.
-    channels = patches.transpose(1, 2, 3, 0).reshape(rows, columns, -1)
+    channels = planes.reshape(-1, rows, columns).transpose(1, 2, 0)
     return cell_histograms(channels, ORIENTATIONS, PATCH_CELL).reshape(shape)
 
 
-def relative_colors(patches):
+def relative_colors(planes):
     """Mean colours of cells, less that of the box; the luma by its spread over the box.
 
     How bright a camera shows a vehicle, in what colour of light and behind what haze,
@@ -611,8 +632,8 @@ def relative_colors(patches):
 
     Parameters
     ----------
-    patches : ndarray of uint8, shape (n, ..., 3)
-        Luma and two of chroma.
+    planes : ndarray of uint8, shape (3, n, rows, columns)
+        Of patches, see `luma_and_chroma`.
 
     Returns
     -------
@@ -620,17 +641,18 @@ def relative_colors(patches):
         The luma in standard deviations of the cells of the box, the chroma as shares
         of 255.
     """
-    n, rows, columns, _ = patches.shape
+    _, n, rows, columns = planes.shape
     if not n:
         return np.empty((0, PATCH_SIDE, PATCH_SIDE, 3), np.float32)
-    below_each_other = patches.reshape(n * rows, columns, 3)
-    size = PATCH_SIDE, n * PATCH_SIDE
+    below_each_other = planes.reshape(3 * n * rows, columns)
+    size = PATCH_SIDE, 3 * n * PATCH_SIDE
     means = cv2.resize(below_each_other, size, interpolation=cv2.INTER_AREA)
-    means = means.reshape(n, PATCH_SIDE, PATCH_SIDE, 3) * np.float32(1 / 255)
-    means -= means[:, _INNER, _INNER].mean(axis=(1, 2), keepdims=True)
-    variance = (means[:, _INNER, _INNER, :1] ** 2).mean(axis=(1, 2), keepdims=True)
-    means[..., :1] /= np.sqrt(variance + _LEAST_SPREAD**2)
-    return means
+    means = means.reshape(3, n, PATCH_SIDE, PATCH_SIDE) * np.float32(1 / 255)
+    inner = means[:, :, _INNER, _INNER]
+    means -= inner.mean(axis=(2, 3), keepdims=True)
+    variance = (inner[0] ** 2).mean(axis=(1, 2), keepdims=True)
+    means[0] /= np.sqrt(variance + _LEAST_SPREAD**2)
+    return means.transpose(1, 2, 3, 0)
 
 
 def margins_outside(boxes, frame_shape):
@@ -711,15 +733,15 @@ def _look_closer(img, boxes, detector):
     """`look_closer` on one core."""
     boxes = on_whole_pixels(boxes)
     outside = margins_outside(boxes, img.shape)
-    patches = cut_patches(img, boxes)
-    features, contrast = patch_features(patches)
+    planes = luma_and_chroma(cut_patches(img, boxes))
+    features, contrast = patch_features(planes)
     scores = detector.scorer.predict(inner_cells(features, outside))[:, 0]
     near = scores > _HOPELESS
-    chroma = chroma_features(patches[near], contrast[near])
+    chroma = chroma_features(planes[:, near], contrast[near])
     shifts = detector.regressor.predict(all_cells(features[near], chroma, outside[near]))
     moved = on_whole_pixels(move_edges(boxes[near], shifts))
     boxes[near] = moved
-    features, _ = patch_features(cut_patches(img, moved))
+    features, _ = patch_features(luma_and_chroma(cut_patches(img, moved)))
     outside = margins_outside(moved, img.shape)
     scores[near] = detector.scorer.predict(inner_cells(features, outside))[:, 0]
     return boxes, scores

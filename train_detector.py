@@ -45,6 +45,7 @@ from detector import (
     cut_patches,
     inner_cells,
     level_groups,
+    luma_and_chroma,
     margins_outside,
     move_edges,
     on_whole_pixels,
@@ -620,9 +621,9 @@ def _edges(img, windows, vehicles, ends, rng):
         own = vehicles[pairwise_iou(windows, vehicles).argmax(axis=1)]
     size = np.tile(windows[:, 2:] - windows[:, :2], 2)
     outside = margins_outside(windows, img.shape) * ends
-    patches = worn(cut_patches(img, windows), rng)
-    features, contrast = patch_features(patches)
-    features = all_cells(features, chroma_features(patches, contrast), outside)
+    planes = luma_and_chroma(worn(cut_patches(img, windows), rng))
+    features, contrast = patch_features(planes)
+    features = all_cells(features, chroma_features(planes, contrast), outside)
     return features.astype(np.float16), (own - windows) / size
 
 
@@ -757,9 +758,9 @@ def patch_samples(item, templates, regressor, scorer=None):
     img, boxes, required = random_camera(example, rng)
     windows = on_whole_pixels(candidates(img, boxes, required, templates, rng))
     outside = margins_outside(windows, img.shape)
-    patches = cut_patches(img, windows)
-    features, contrast = patch_features(patches)
-    chroma = chroma_features(patches, contrast)
+    planes = luma_and_chroma(cut_patches(img, windows))
+    features, contrast = patch_features(planes)
+    chroma = chroma_features(planes, contrast)
     shifts = regressor.predict(all_cells(features, chroma, outside))
     windows = on_whole_pixels(move_edges(windows, shifts))
     iou = best_iou(windows, boxes[required])
@@ -767,7 +768,8 @@ def patch_samples(item, templates, regressor, scorer=None):
     nothing = (iou < _NOTHING_IOU) & is_nothing(windows, boxes[~required], 0.3, 0.5)
     clear = (iou > _VEHICLE_IOU) | nothing
     windows = windows[clear]
-    features, _ = patch_features(worn(cut_patches(img, windows), rng))
+    patches = worn(cut_patches(img, windows), rng)
+    features, _ = patch_features(luma_and_chroma(patches))
     features = inner_cells(features, margins_outside(windows, img.shape))
     labels = (iou[clear] > _VEHICLE_IOU).astype(int)
     if scorer is not None:
@@ -792,7 +794,8 @@ def crop_patches(training_set, rng):
         boxes = np.concatenate([[whole, cut], parts])
         all_outside = np.zeros((len(boxes), N_BORDERS))
         all_outside[1] = outside
-        features, _ = patch_features(worn(cut_patches(random_crop(path, rng), boxes), rng))
+        patches = worn(cut_patches(random_crop(path, rng), boxes), rng)
+        features, _ = patch_features(luma_and_chroma(patches))
         features = inner_cells(features, all_outside)
         yield features.astype(np.float16), np.array([label, label, *np.zeros(len(parts), int)])
 

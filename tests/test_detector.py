@@ -44,6 +44,7 @@ from detector import (
     level_groups,
     load_detector,
     look_closer,
+    luma_and_chroma,
     margins_outside,
     move_edges,
     near_horizon,
@@ -276,8 +277,9 @@ def test_patches_hold_hog_and_relative_colours():
     img = textured_image(2, 240, 320)
     boxes = on_whole_pixels(np.array([(30.0, 40, 30 + SIDE, 40 + SIDE), (100.5, 60.2, 330, 170)]))
     patches = cut_patches(img, boxes)
-    luma, contrast = patch_features(patches)
-    chroma = chroma_features(patches, contrast)
+    planes = luma_and_chroma(patches)
+    luma, contrast = patch_features(planes)
+    chroma = chroma_features(planes, contrast)
     assert luma.shape == (2, PATCH_SIDE, PATCH_SIDE, CELL_FEATURES)
     assert chroma.shape == (2, PATCH_SIDE, PATCH_SIDE, CHROMA_FEATURES)
     hog = np.concatenate([luma[..., :ORIENTATIONS], chroma], axis=-1)
@@ -320,10 +322,17 @@ def test_no_patches_have_no_features():
     patches = cut_patches(textured_image(2, 24, 32), np.empty((0, 4)))
     side = PATCH_SIDE * PATCH_CELL
     assert patches.shape == (0, side, side, 3)
-    luma, contrast = patch_features(patches)
+    planes = luma_and_chroma(patches)
+    assert planes.shape == (3, 0, side, side)
+    luma, contrast = patch_features(planes)
     assert luma.shape == (0, PATCH_SIDE, PATCH_SIDE, CELL_FEATURES) and contrast.shape == (0,)
-    chroma = chroma_features(patches, contrast)
+    chroma = chroma_features(planes, contrast)
     assert chroma.shape == (0, PATCH_SIDE, PATCH_SIDE, CHROMA_FEATURES)
+
+
+def as_planes(patches):
+    """Patches whose colours are those of planes already."""
+    return patches.astype(np.uint8).transpose(3, 0, 1, 2)
 
 
 @settings(max_examples=30)
@@ -333,11 +342,11 @@ def test_relative_colours_know_no_exposure_or_haze(gain, haze, seed):
     coarse = rng.choice([20.0, 220.0], size=(PATCH_SIDE, PATCH_SIDE, 1)) + rng.uniform(-9, 9, 3)
     patch = np.kron(coarse, np.ones((PATCH_CELL, PATCH_CELL, 1)))[None]
     darker = gain * patch + haze
-    own, other = (relative_colors(np.rint(p).astype(np.uint8)) for p in (patch, darker))
+    own, other = (relative_colors(as_planes(np.rint(p))) for p in (patch, darker))
     assert own.shape == (1, PATCH_SIDE, PATCH_SIDE, 3) and side == patch.shape[1]
     np.testing.assert_allclose(other[..., 0], own[..., 0], atol=0.06)
     np.testing.assert_allclose(other[..., 1:], gain * own[..., 1:], atol=0.01)
-    plain = relative_colors(np.full((1, side, side, 3), 77, np.uint8))
+    plain = relative_colors(np.full((3, 1, side, side), 77, np.uint8))
     np.testing.assert_allclose(plain, 0, atol=1e-5)
 
 
@@ -352,7 +361,7 @@ def test_faint_noise_stays_small_and_exposure_changes_no_gradient(describe):
         if describe == "window":
             return cell_features(img)[..., :ORIENTATIONS]
         patches = cut_patches(img, np.array([[16.0, 16, 144, 144]]))
-        return patch_features(patches)[0][0, ..., :ORIENTATIONS] ** 2
+        return patch_features(luma_and_chroma(patches))[0][0, ..., :ORIENTATIONS] ** 2
 
     plain, lengths = (np.linalg.norm(gradients(x), axis=2) for x in (img, noisy))
     at_edge = plain > 0.3
@@ -401,11 +410,12 @@ def test_the_closer_look_scores_where_it_moved_the_box():
     detector = random_detector(0)
 
     def described(box, cells):
-        patches, outside = cut_patches(img, box[None]), margins_outside(box[None], img.shape)
-        luma, contrast = patch_features(patches)
+        planes = luma_and_chroma(cut_patches(img, box[None]))
+        outside = margins_outside(box[None], img.shape)
+        luma, contrast = patch_features(planes)
         if cells is inner_cells:
             return inner_cells(luma, outside)
-        return all_cells(luma, chroma_features(patches, contrast), outside)
+        return all_cells(luma, chroma_features(planes, contrast), outside)
 
     none, no_scores = look_closer(img, np.empty((0, 4)), detector)
     assert none.shape == (0, 4) and no_scores.shape == (0,)
@@ -422,7 +432,7 @@ def test_what_is_hopeless_where_it_was_proposed_is_not_moved():
     img, detector = textured_image(4, 240, 320), random_detector(0)
     boxes = on_whole_pixels(random_boxes(np.random.default_rng(0), 9))
     outside = margins_outside(boxes, img.shape)
-    features, _ = patch_features(cut_patches(img, boxes))
+    features, _ = patch_features(luma_and_chroma(cut_patches(img, boxes)))
     own = detector.scorer.predict(inner_cells(features, outside))[:, 0]
     # So that the middle one is at the limit, and half of them are below it.
     limited = detector.scorer.bias - np.float32(np.median(own) + 1)
