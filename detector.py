@@ -24,7 +24,7 @@ from dense_hog import cell_histograms, correlate
 from files import written_whole
 from pipeline_functions import convert_color
 from threads import share, side_by_side
-from tracks import box_areas, pairwise_iou, pairwise_overlap
+from tracks import box_areas, pairwise_overlap
 
 COLOR = "YCrCb"
 ORIENTATIONS = 9
@@ -761,9 +761,10 @@ def are_rivals(boxes, others, overlap=0.45, covered=0.7):
     -------
     rivals : ndarray of bool, shape (n, m)
     """
-    smaller = np.minimum(box_areas(boxes)[:, None], box_areas(others)[None])
-    within = pairwise_overlap(boxes, others) > covered * smaller
-    return within | (pairwise_iou(boxes, others) > overlap)
+    areas, other_areas = box_areas(boxes)[:, None], box_areas(others)[None]
+    common = pairwise_overlap(boxes, others)
+    within = common > covered * np.minimum(areas, other_areas)
+    return within | (common > overlap * (areas + other_areas - common))
 
 
 def keep_wholes(boxes, scores):
@@ -780,10 +781,11 @@ def keep_wholes(boxes, scores):
         Indices, best first.
     """
     rivals = are_rivals(boxes, boxes)
-    kept = []
+    beaten, kept = np.zeros(len(boxes), bool), []
     for i in np.argsort(-scores):
-        if not rivals[i, kept].any():
+        if not beaten[i]:
             kept.append(i)
+            beaten |= rivals[i]
     return np.array(kept, int)
 
 

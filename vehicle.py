@@ -3,7 +3,6 @@
 proposals and known vehicles -> a closer look -> the road -> tracks -> vehicles
 """
 
-from collections import deque
 from dataclasses import dataclass, replace
 
 import cv2
@@ -125,7 +124,7 @@ class Vehicle(Viewer):
         super().reset()
         self._tracker = Tracker(self.track_params)
         # Boxes of whole cars of late: they tell where the road is.
-        self._seen = deque(maxlen=_MOST_SEEN)
+        self._seen = np.empty((0, 4))
 
     def detect(self, rgb_frame):
         """Search the next frame of the video.
@@ -144,7 +143,7 @@ class Vehicle(Viewer):
             The frame is of another size than the one before, or too small.
         """
         self._require_same_size(rgb_frame)
-        road = fit_road(np.array(self._seen)) if len(self._seen) > _ENOUGH_SEEN else None
+        road = fit_road(self._seen) if len(self._seen) > _ENOUGH_SEEN else None
         proposals = self._propose(rgb_frame, road)
         self._n_frames += 1
         expected = self._on_frame(self._tracker.predict())
@@ -193,7 +192,8 @@ class Vehicle(Viewer):
         vehicle_scores = np.concatenate([scores[shown], np.zeros(len(bridged))])
         rows, columns = self._frame_shape[:2]
         boxes = np.array([track.box for track in vehicles]).reshape(-1, 4)
-        self._seen.extend(seen[are_whole_cars(seen, self._frame_shape)])
+        whole_cars = seen[are_whole_cars(seen, self._frame_shape)]
+        self._seen = np.concatenate([self._seen, whole_cars])[-_MOST_SEEN:]
         boxes = np.clip(np.rint(boxes), 0, (columns, rows, columns, rows)).astype(int)
         ids = np.array([track.identity for track in vehicles], int)
         return Detections(proposals, candidates, scores, evidence, boxes, vehicle_scores, ids)

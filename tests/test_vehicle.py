@@ -119,7 +119,7 @@ def test_known_vehicles_tell_where_others_may_stand(path, monkeypatch):
     np.testing.assert_array_equal(before.candidates, boxes[:3])
     np.testing.assert_array_equal(before.candidate_scores, [3, 3, 3])
     vehicle.reset()
-    vehicle._seen.extend(60 * [boxes[0]])
+    vehicle._seen = np.tile(boxes[:1], (60, 1))
     after = vehicle.detect(frame)
     # The road vanishes in row 100, and cars are as high as 5 / 4 of what they are below it.
     np.testing.assert_array_equal(after.candidates, boxes[:2])
