@@ -36,7 +36,7 @@ WINDOW_CELL = 4
 # The closer look: a box of 8 x 8 cells, and a margin of one cell around it.
 PATCH_CELLS = 8
 PATCH_MARGIN = 1
-PATCH_CELL = 8
+PATCH_CELL = 6
 # HOG of the luma, mean colour.
 CELL_FEATURES = ORIENTATIONS + 3
 # HOG of the chroma tells where edges are, but not what is a vehicle: with it, those of
@@ -63,7 +63,7 @@ _LEAST_LENGTH = np.float32(1e-3)
 # Where there is next to no light and shade, as a share of white.
 _LEAST_SPREAD = np.float32(0.03)
 
-FORMAT_VERSION = 6
+FORMAT_VERSION = 7
 
 
 @dataclass(frozen=True)
@@ -102,9 +102,9 @@ class ScanParams:
     ratio: float = 1.25
     horizon: tuple = (0.42, 0.62)
     cells_per_step: int = 2
-    n_groups: int = 4
+    n_groups: int = 5
     threshold: float = -0.5
-    n_proposals: int = 12
+    n_proposals: int = 10
     n_entering: int = 2
     overlap: float = 0.5
 
@@ -594,7 +594,9 @@ def patch_features(planes):
 
 
 def chroma_features(planes, contrast):
-    """Square roots of HOG of the chroma of the cells of every patch.
+    """Square roots of HOG of the chroma of the cells of every patch, at half its size.
+
+    Videos hold no more of the chroma than that.
 
     Parameters
     ----------
@@ -607,10 +609,21 @@ def chroma_features(planes, contrast):
     -------
     features : ndarray of float32, shape (n, PATCH_SIDE, PATCH_SIDE, CHROMA_FEATURES)
     """
-    histograms = _patch_histograms(planes[1:])
+    histograms = _patch_histograms(_halved(planes[1:]))
     around = contrast[:, None, None]
     channels = [normalise_cells(own, cell_lengths(own), around) for own in histograms]
     return np.sqrt(np.concatenate(channels, axis=-1))
+
+
+def _halved(planes):
+    """Planes at half their size, shape (channels, n, rows / 2, columns / 2)."""
+    n_channels, n, rows, columns = planes.shape
+    halved = np.empty((n_channels, n, rows // 2, columns // 2), np.uint8)
+    if n:
+        # One below the other, they are one image.
+        whole, size = planes.reshape(-1, columns), (columns // 2, n_channels * n * rows // 2)
+        cv2.resize(whole, size, halved.reshape(-1, columns // 2), interpolation=cv2.INTER_AREA)
+    return halved
 
 
 def _patch_histograms(planes):
@@ -621,7 +634,7 @@ def _patch_histograms(planes):
         return np.empty(shape, np.float32)
     # All patches are the channels of one image, for a pass of HOG has its price.
     channels = planes.reshape(-1, rows, columns).transpose(1, 2, 0)
-    return cell_histograms(channels, ORIENTATIONS, PATCH_CELL).reshape(shape)
+    return cell_histograms(channels, ORIENTATIONS, rows // PATCH_SIDE).reshape(shape)
 
 
 def relative_colors(planes):

@@ -28,8 +28,6 @@ from tqdm import tqdm
 from detector import (
     DEFAULT_SCAN,
     N_BORDERS,
-    PATCH_CELL,
-    PATCH_CELLS,
     SURROUNDINGS,
     WINDOW_CELL,
     WINDOW_COLUMNS,
@@ -65,15 +63,17 @@ _LOWEST = 13
 # Boxes that overlap a vehicle more than the first are vehicles, those that
 # overlap it less than the second are none; what lies between teaches neither.
 _VEHICLE_IOU, _NOTHING_IOU = 0.6, 0.4
-_CROP_SIDE = PATCH_CELLS * PATCH_CELL
+# Side of the training set's images, in pixels.
+_CROP_SIDE = 64
 # What is scored right by more than this teaches nothing new.
 _SURE = 0.5
 # So often each crop with a box is looked at, as another camera might have taken it.
 _CROP_VIEWS = 8
 # Components of patches and centers of kernels: what is a vehicle shows in more
-# details than where its edges are, but there are more places for edges.
-_SCORER_SIZE = 120, 2000
-_REGRESSOR_SIZE = 60, 3000
+# details than where its edges are, but there are more places for edges. Sums over 64
+# numbers, or over 128 with the four borders, fill a processor's registers to the end.
+_SCORER_SIZE = 124, 2000
+_REGRESSOR_SIZE = 64, 3000
 # Median score of the vehicles the scorer learned from.
 _USUAL_SCORE = 1.5
 # The regressor's components are found among so many principal ones, by gradients

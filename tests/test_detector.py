@@ -273,6 +273,11 @@ def test_boxes_on_whole_pixels_stay_where_they_are(count, seed):
     np.testing.assert_allclose(on_whole_pixels(whole), whole, atol=1e-9)
 
 
+def lengths_of(img, cell):
+    """Lengths of the histograms of an image's cells, shape (channels, rows, columns)."""
+    return np.linalg.norm(cell_histograms(img, ORIENTATIONS, cell), axis=-1)
+
+
 def test_patches_hold_hog_and_relative_colours():
     img = textured_image(2, 240, 320)
     boxes = on_whole_pixels(np.array([(30.0, 40, 30 + SIDE, 40 + SIDE), (100.5, 60.2, 330, 170)]))
@@ -290,13 +295,19 @@ def test_patches_hold_hog_and_relative_colours():
         patch = cut_out(img, (box + margin).round().astype(int), size)
         np.testing.assert_array_equal(own_patch, patch)
         patch = convert_color(patch, COLOR)
-        raw = np.linalg.norm(cell_histograms(patch, ORIENTATIONS, PATCH_CELL), axis=-1)
+        # Chroma at half the size, each pixel the mean of four, halves rounded up.
+        fours = patch.reshape(PATCH_SIDE * PATCH_CELL // 2, 2, -1, 2, 3).sum(axis=(1, 3))
+        halved = ((fours + 2) // 4).astype(np.uint8)
+        sources = (patch, PATCH_CELL), (halved, PATCH_CELL // 2), (halved, PATCH_CELL // 2)
+        luma_length = lengths_of(patch, PATCH_CELL)[0].mean()
         for channel, own in enumerate(np.split(own_hog**2, 3, axis=-1)):
+            source, cell = sources[channel]
             lengths, units = lengths_and_units(own)
-            expected = unit_histograms(patch[..., channel], PATCH_CELL)
+            expected = unit_histograms(source[..., channel], cell)
             np.testing.assert_allclose(units, expected, atol=1e-5)
             # All of them are held against the luma.
-            expected = raw[channel] / np.hypot(raw[channel], raw[0].mean())
+            raw = lengths_of(source, cell)[channel]
+            expected = raw / np.hypot(raw, luma_length)
             np.testing.assert_allclose(lengths, expected, atol=1e-5)
         cells = patch.reshape(PATCH_SIDE, PATCH_CELL, PATCH_SIDE, PATCH_CELL, 3).mean(axis=(1, 3))
         cells = cells / 255 - cells[1:-1, 1:-1].mean(axis=(0, 1)) / 255

@@ -301,7 +301,7 @@ def test_regressor_looks_past_what_differs_more():
     machine = fit_regressor(
         features[:2500].astype(np.float32), shifts[:2500], np.random.default_rng(1)
     )
-    assert machine.projection.shape == (60, 204)
+    assert machine.projection.shape == (64, 204)
     error = machine.predict(features[2500:].astype(np.float32)) - shifts[2500:]
     assert np.abs(error).mean() < 0.5 * np.abs(shifts[2500:] - shifts.mean(axis=0)).mean()
 
