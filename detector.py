@@ -34,6 +34,7 @@ WINDOW_ROWS = 8
 WINDOW_COLUMNS = (6, 8, 11, 16)
 WINDOW_CELL = 4
 # The closer look: a box of 8 x 8 cells, and a margin of one cell around it.
+# The side of a cell is even, for chroma is halved.
 PATCH_CELLS = 8
 PATCH_MARGIN = 1
 PATCH_CELL = 6
