@@ -51,7 +51,8 @@ class TrackParams:
         Score of a box that neither adds to the evidence nor takes from it: what was
         taken for a vehicle and is none goes on scoring little more than 0.
     miss_cost : float
-        Evidence that a frame without a box takes away.
+        Evidence that a frame without a box takes away; down to half of it, the more of
+        where the vehicle is expected a nearer one covers.
     """
 
     min_iou: float = 0.2
@@ -165,10 +166,11 @@ class Track:
     def miss(self, others):
         """There is no box in this frame; `others`, shape (n, 4), are vehicles that have one."""
         nearer = others[others[:, 3] > self.box[3]]
-        covered = pairwise_overlap(self.box[None], nearer).max(initial=0)
-        self.n_hidden += covered > _HIDDEN * max(0.0, box_areas(self.box[None])[0])
+        area = max(box_areas(self.box[None])[0], 1e-9)
+        covered = pairwise_overlap(self.box[None], nearer).max(initial=0) / area
+        self.n_hidden += covered > _HIDDEN
         self._slow_down()
-        self._weigh(-self._params.miss_cost)
+        self._weigh(-self._params.miss_cost * (1 - covered / 2))
         if self.identity and not self.is_shown:
             self._widen_behind(nearer)
 

@@ -391,6 +391,24 @@ def test_frames_without_a_box_cost_evidence():
     assert shown(tracker, here, 1.0) is None
 
 
+@pytest.mark.parametrize(
+    ("left", "bottom", "n_frames"),
+    [(100, 160, 6), (130, 160, 4), (200, 160, 3), (100, 139, 3)],
+    ids=["hidden", "half hidden", "beside", "behind"],
+)
+def test_frames_in_which_a_nearer_vehicle_covers_the_place_cost_less(left, bottom, n_frames):
+    # Three of evidence, and half to one a frame.
+    params = TrackParams(min_iou=0.5, birth=2, most_evidence=3, miss_cost=1)
+    tracker = Tracker(params)
+    tracker.predict()
+    (gone,) = tracker.update(boxes(box_at(100)), np.array([3.0]))
+    other = np.array([left, 60, left + 100, bottom])
+    for n in range(1, 9):
+        tracker.predict()
+        tracker.update(boxes(other), np.array([3.0]))
+        assert gone.is_shown == (n <= n_frames)
+
+
 def test_a_box_of_neutral_score_adds_nothing_and_one_below_it_takes_away():
     tracker = Tracker(TrackParams(birth=2, most_evidence=3, neutral_score=0.25))
     here = boxes(box_at(100))
