@@ -761,15 +761,16 @@ def _look_closer(img, boxes, detector):
     return boxes, scores
 
 
-def are_rivals(boxes, others, overlap=0.45, covered=0.7):
+def are_rivals(boxes, others, overlap=0.45, covered=0.7, lower=0.1):
     """Which boxes cannot frame two vehicles that are both seen.
 
     Parameters
     ----------
     boxes, others : ndarray of float, shapes (n, 4) and (m, 4)
-    overlap, covered : float
-        Two boxes are rivals if their IoU is above the first, or if the smaller
-        of them is covered by more than the second.
+    overlap, covered, lower : float
+        Two boxes are rivals if their IoU is above the first, or if the smaller of
+        them is covered by more than the second; but not if it ends below the larger
+        by more of its height than the third: it then stands nearer, in front.
 
     Returns
     -------
@@ -777,8 +778,16 @@ def are_rivals(boxes, others, overlap=0.45, covered=0.7):
     """
     areas, other_areas = box_areas(boxes)[:, None], box_areas(others)[None]
     common = pairwise_overlap(boxes, others)
-    within = common > covered * np.minimum(areas, other_areas)
+    below = boxes[:, 3, None] - others[None, :, 3]
+    is_smaller = areas < other_areas
+    height = np.where(is_smaller, _heights(boxes)[:, None], _heights(others)[None])
+    in_front = np.where(is_smaller, below, -below) > lower * height
+    within = (common > covered * np.minimum(areas, other_areas)) & ~in_front
     return within | (common > overlap * (areas + other_areas - common))
+
+
+def _heights(boxes):
+    return boxes[:, 3] - boxes[:, 1]
 
 
 def keep_wholes(boxes, scores):
