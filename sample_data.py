@@ -87,7 +87,24 @@ def random_scene(seed):
                 )
             )
             distance += BODIES[kind].length + rng.uniform(7, 45)
-    return make_world(seed, actors)
+    beside = _vehicles_beside(empty, actors, np.random.default_rng([seed, 14]))
+    return make_world(seed, actors + beside)
+
+
+def _vehicles_beside(world, actors, rng):
+    """In every other lane, now and then, one so near that the border cuts it: it comes in."""
+    beside = []
+    for lane in set(range(world.n_lanes)) - {world.own_lane}:
+        kind = str(rng.choice(list(BODIES)))
+        distance = rng.uniform(1.5 - BODIES[kind].length, 5)
+        ahead = min((a.distance for a in actors if round(a.lane) == lane), default=np.inf)
+        if rng.random() < 0.5 and distance + BODIES[kind].length + 1.5 < ahead:
+            number = len(actors) + len(beside) + 1
+            paint = PAINTS[rng.integers(len(PAINTS))]
+            place = lane + float(rng.normal(0, 0.06))
+            size, style = float(rng.uniform(0.94, 1.07)), int(rng.integers(1_000_000))
+            beside.append(Actor(number, kind, paint, distance, 0.0, place, size=size, style=style))
+    return beside
 
 
 def driving_world(seed):

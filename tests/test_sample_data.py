@@ -1,5 +1,7 @@
 """Rendered scenes: the same every time, true boxes, and real enough."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -97,6 +99,20 @@ def test_truth_rows_are_motchallenge():
     assert (rows[:, 0] == 5).all() and len(set(rows[:, 1])) == len(rows)
     assert ((rows[:, 6] == 0) | (rows[:, 5] >= 29.9)).all()
     assert (rows[:, 2] >= 0).all() and (rows[:, 2] + rows[:, 4] <= 1280.1).all()
+
+
+def test_vehicles_come_in_beside_the_camera_in_lanes_of_their_own():
+    beside = 0
+    for seed in range(40):
+        world = random_scene(seed)
+        for lane in range(world.n_lanes):
+            own = [actor for actor in world.actors if round(actor.lane) == lane]
+            places = sorted((a.distance, a.distance + BODIES[a.kind].length) for a in own)
+            assert all(front < rear for (_, front), (rear, _) in pairwise(places))
+            near = [rear for rear, _ in places if rear < 5]
+            assert not near or lane != world.own_lane
+            beside += len(near)
+    assert 20 < beside < 80
 
 
 def test_driving_world_has_overtaking_and_oncoming_traffic():
