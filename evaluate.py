@@ -37,16 +37,19 @@ class Rows:
         left, top, right, bottom in pixels.
     scores : ndarray of float, shape (n,)
         The seventh column: score of a detection, conf of a truth row.
+    visibility : ndarray of float, shape (n,)
+        The ninth column: share of a vehicle that is seen; -1 if it is not known.
     """
 
     frames: np.ndarray
     ids: np.ndarray
     boxes: np.ndarray
     scores: np.ndarray
+    visibility: np.ndarray
 
     def only(self, chosen):
         """The rows that a mask or index array picks."""
-        return Rows(self.frames[chosen], self.ids[chosen], self.boxes[chosen], self.scores[chosen])
+        return Rows(**{name: values[chosen] for name, values in vars(self).items()})
 
     def within(self, frames):
         """The rows of a range of frames."""
@@ -89,14 +92,18 @@ def read_rows(path):
         raise FileNotFoundError(f"{path}: no such file of boxes")
     lines = [line for line in path.read_text().splitlines() if line.strip()]
     try:
-        values = np.array([[float(v) for v in line.split(",")[:7]] for line in lines])
-        values = values.reshape(-1, 7)
+        rows = [[float(v) for v in line.split(",")] for line in lines]
+        if min(map(len, rows), default=7) < 7:
+            raise ValueError("fewer than seven")
+        # Class and visibility may be left out.
+        values = np.array([(row + [-1, -1])[:9] for row in rows]).reshape(-1, 9)
         if not np.isfinite(values).all():
             raise ValueError("not a finite number")
     except ValueError as error:
         raise ValueError(f"{path}: rows are to be frame,id,left,top,width,height,score") from error
     boxes = np.hstack([values[:, 2:4], values[:, 2:4] + values[:, 4:6]])
-    return Rows(values[:, 0].astype(int), values[:, 1].astype(int), boxes, values[:, 6])
+    frames, ids = values[:, :2].astype(int).T
+    return Rows(frames, ids, boxes, scores=values[:, 6], visibility=values[:, 8])
 
 
 def rows_of(boxes):
@@ -104,7 +111,8 @@ def rows_of(boxes):
     counts = [len(of_frame) for of_frame in boxes]
     frames = np.repeat(np.arange(1, len(boxes) + 1), counts)
     stacked = np.concatenate([np.reshape(of_frame, (-1, 4)) for of_frame in boxes])
-    return Rows(frames, np.full(len(frames), -1), stacked.astype(float), np.ones(len(frames)))
+    unknown = np.full(len(frames), -1)
+    return Rows(frames, unknown, stacked.astype(float), np.ones(len(frames)), unknown)
 
 
 def match(required, detected, iou_threshold=0.5):

@@ -58,8 +58,8 @@ from tracks import box_areas, pairwise_iou, pairwise_overlap
 from training_images import read_window
 from video import read_frames
 
-# A vehicle lower than this shows too little to learn from.
-_LOWEST = 13
+# A vehicle lower than this, or of which less is seen, shows too little to learn from.
+_LOWEST, _LEAST_SEEN = 13, 1 / 3
 # Boxes that overlap a vehicle more than the first are vehicles, those that
 # overlap it less than the second are none; what lies between teaches neither.
 _VEHICLE_IOU, _NOTHING_IOU = 0.6, 0.4
@@ -92,11 +92,15 @@ class Example:
     boxes : ndarray of float, shape (n, 4)
     required : ndarray of bool, shape (n,)
         The others are ignore regions: neither vehicles nor nothing.
+    visibility : ndarray of float, shape (n,)
+        How much is seen of each vehicle, from 0 to 1; 0 if it is nowhere required. What
+        the frame's side cuts teaches how vehicles enter, before they are required.
     """
 
     source: object
     boxes: np.ndarray
     required: np.ndarray
+    visibility: np.ndarray
 
     def read(self):
         """The frame, RGB."""
@@ -204,13 +208,18 @@ def read_footage(path, truth, frames="1:1000000"):
     path, rows, numbers = Path(path), read_rows(truth), frame_range(frames)
     is_video = path.suffix.lower() in VIDEO_SUFFIXES
     sources = read_frames(path) if is_video else find_images(path)
+    required = rows.scores == 1
+    # What is never required, or has no identity, may be no vehicle at all.
+    is_vehicle = required | np.isin(rows.ids, rows.ids[required & (rows.ids >= 0)])
+    visibility = np.where(is_vehicle, rows.visibility, 0)
+    visibility[required & (rows.visibility < 0)] = 1
     examples = []
     for number, source in enumerate(sources, start=1):
         if number >= numbers.stop:
             break
         if number in numbers:
             own = rows.frames == number
-            examples.append(Example(source, rows.boxes[own], rows.scores[own] == 1))
+            examples.append(Example(source, rows.boxes[own], required[own], visibility[own]))
     if not examples:
         raise ValueError(f"{path}: no frame in {frames}")
     return examples
@@ -242,11 +251,14 @@ def random_camera(example, rng):
     -------
     img : ndarray of uint8, shape (rows, columns, 3)
     boxes : ndarray of float, shape (n, 4)
-    required : ndarray of bool, shape (n,)
+    vehicles : ndarray of bool, shape (n,)
+        The others are neither vehicles nor nothing.
     """
-    img, boxes, required = example.read(), example.boxes, example.required
+    img, boxes = example.read(), example.boxes
+    at_side = (boxes[:, 0] < 1) | (boxes[:, 2] > img.shape[1] - 1)
+    visibility = np.where(example.required | at_side, example.visibility, 0)
     if rng.random() < 0.4:
-        img, boxes, required = narrowed(img, boxes, required, rng.uniform(0.6, 1))
+        img, boxes, visibility = narrowed(img, boxes, visibility, rng.uniform(0.6, 1))
     if rng.random() < 0.5:
         img, boxes = mirrored(img, boxes)
     if rng.random() < 0.8:
@@ -261,18 +273,18 @@ def random_camera(example, rng):
     rows, columns = img.shape[:2]
     boxes = np.clip(boxes, 0, (columns, rows, columns, rows))
     width, height = (boxes[:, 2:] - boxes[:, :2]).T
-    required = required & (height >= _LOWEST) & (width > height / 3)
-    return np.ascontiguousarray(img), boxes, required
+    vehicles = (visibility >= _LEAST_SEEN) & (height >= _LOWEST) & (width > height / 3)
+    return np.ascontiguousarray(img), boxes, vehicles
 
 
-def narrowed(img, boxes, required, share):
-    """The left `share` of a frame; vehicles less than half in it are no longer required."""
+def narrowed(img, boxes, visibility, share):
+    """The left `share` of a frame, the boxes in it, and how much is seen of each there."""
     columns = round(img.shape[1] * share)
     cut = boxes.copy()
     cut[:, [0, 2]] = np.minimum(boxes[:, [0, 2]], columns)
     left_over = (cut[:, 2] - cut[:, 0]) / np.maximum(boxes[:, 2] - boxes[:, 0], 1e-9)
     seen = left_over > 0
-    return img[:, :columns], cut[seen], (required & (left_over >= 0.5))[seen]
+    return img[:, :columns], cut[seen], (visibility * left_over)[seen]
 
 
 def mirrored(img, boxes):

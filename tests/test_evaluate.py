@@ -28,7 +28,8 @@ from tracks import pairwise_iou
 def rows(*values):
     """Rows from (frame, id, left, top, right, bottom, score)."""
     values = np.array(values, float).reshape(-1, 7)
-    return Rows(values[:, 0].astype(int), values[:, 1].astype(int), values[:, 2:6], values[:, 6])
+    frames, ids = values[:, :2].astype(int).T
+    return Rows(frames, ids, values[:, 2:6], values[:, 6], visibility=np.full(len(values), -1.0))
 
 
 TRUTH = rows(
@@ -181,6 +182,17 @@ def test_command_line(tmp_path):
     assert (tmp_path / "p.png").stat().st_size > 1000
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     assert "mean IoU                    1.000" in result.stdout
+
+
+def test_class_and_visibility_may_be_left_out(tmp_path):
+    (tmp_path / "boxes.txt").write_text(
+        "3,7,10,20,30,40,1\n3,8,10,20,30,40,0,3\n4,7,10,20,30,40,0,3,0.25\n4,-1,0,0,5,5,2.5,-1,-1,-1\n"
+    )
+    rows = read_rows(tmp_path / "boxes.txt")
+    np.testing.assert_array_equal(rows.boxes[0], (10, 20, 40, 60))
+    assert rows.scores.tolist() == [1, 0, 0, 2.5]
+    assert rows.visibility.tolist() == [-1, -1, 0.25, -1]
+    assert rows.only(rows.ids == 7).visibility.tolist() == [-1, 0.25]
 
 
 @pytest.mark.parametrize(

@@ -84,6 +84,31 @@ def test_footage_is_a_folder_or_a_video(tmp_path):
         read_footage(tmp_path / "frames", tmp_path / "truth.txt", "7:9")
 
 
+def test_what_enters_teaches_before_it_is_required(tmp_path):
+    img = textured_image(0, 60, 200)
+    write_image(tmp_path / "frames" / "1.png", img)
+    write_image(tmp_path / "frames" / "2.png", img)
+    lines = [
+        "1,1,170,10,30,40,0,3,0.4",  # Enters; a third of it is seen.
+        "1,2,0,10,30,40,0,3,0.3",
+        "1,3,90,10,30,40,0,3,0.4",  # Hidden, not cut by the frame's side.
+        "1,4,0,10,30,40,0,3,0.9",  # Never required.
+        "1,-1,0,10,30,40,0,3,1",
+        "1,5,50,10,30,40,1,3",
+        "2,1,150,10,40,40,1,3,0.6", "2,2,0,10,40,40,1,3,0.6", "2,3,90,10,40,40,1,3,0.6",
+        "2,-1,0,10,40,40,1,3,1",
+    ]  # fmt: skip
+    (tmp_path / "truth.txt").write_text("\n".join(line.split("  #")[0] for line in lines))
+    example = read_footage(tmp_path / "frames", tmp_path / "truth.txt")[0]
+    np.testing.assert_allclose(example.visibility, [0.4, 0.3, 0.4, 0, 0, 1])
+    assert example.required.tolist() == [False] * 5 + [True]
+    # A seed that leaves the frame as it is.
+    rng = np.random.default_rng(4)
+    seen, boxes, vehicles = random_camera(example, rng)
+    np.testing.assert_array_equal(seen, img)
+    assert vehicles.tolist() == [True, False, False, False, False, True]
+
+
 def test_boxed_crops_are_the_images_that_have_a_box(tmp_path):
     for number in range(1, 6):
         write_image(tmp_path / "crops" / f"{number}.png", textured_image(number, 64, 64))
@@ -109,12 +134,13 @@ def test_a_mirrored_box_holds_the_mirrored_pixels():
     np.testing.assert_array_equal(mirrored(flipped, box[None])[1], boxes)
 
 
-def test_what_is_mostly_cut_off_is_not_required():
+def test_a_narrower_frame_shows_less_of_what_it_cuts():
     boxes = np.array([(0.0, 0, 40, 20), (30, 0, 90, 20), (45, 0, 65, 20), (60, 0, 90, 20)])
-    img, cut, required = narrowed(textured_image(0, 40, 100), boxes, np.ones(4, bool), 0.5)
+    visibility = np.array([1, 0.75, 0.5, 1])
+    img, cut, left_over = narrowed(textured_image(0, 40, 100), boxes, visibility, 0.5)
     assert img.shape == (40, 50, 3)
     np.testing.assert_array_equal(cut, [(0, 0, 40, 20), (30, 0, 50, 20), (45, 0, 50, 20)])
-    assert required.tolist() == [True, False, False]
+    np.testing.assert_allclose(left_over, [1, 0.25, 0.125])
 
 
 @settings(max_examples=40)
@@ -122,7 +148,7 @@ def test_what_is_mostly_cut_off_is_not_required():
 def test_any_camera_sees_the_vehicle_in_its_box(seed):
     frame = np.full((180, 320, 3), 128, np.uint8)
     frame[60:120, 120:200] = (255, 255, 0)
-    example = Example(frame, np.array([(120.0, 60, 200, 120)]), np.array([True]))
+    example = Example(frame, np.array([(120.0, 60, 200, 120)]), np.array([True]), np.ones(1))
     img, boxes, required = random_camera(example, np.random.default_rng(seed))
     assert img.dtype == np.uint8 and img.shape[1] <= 320
     assert len(boxes) == 1
@@ -218,7 +244,8 @@ def test_the_border_cuts_one_side_of_a_box(seed):
 
 
 def crop_of(box, seed=0):
-    return Example(textured_image(seed, 64, 64), np.array([box], float), np.array([True]))
+    img = textured_image(seed, 64, 64)
+    return Example(img, np.array([box], float), np.array([True]), np.ones(1))
 
 
 @pytest.mark.parametrize(
