@@ -51,8 +51,8 @@ class TrackParams:
         Score of a box that neither adds to the evidence nor takes from it: what was
         taken for a vehicle and is none goes on scoring little more than 0.
     miss_cost : float
-        Evidence that a frame without a box takes away; down to half of it, the more of
-        where the vehicle is expected a nearer one covers.
+        Evidence that a frame without a box takes away; less by the share that a nearer
+        vehicle covers of where it is expected, if some of it should be in sight.
     """
 
     min_iou: float = 0.2
@@ -97,6 +97,9 @@ _WEIGHT_IF_MISSED = 0.5
 # A vehicle without a box is hidden if a nearer one covers this share of where it
 # is expected; of so many such frames each counts for one.
 _HIDDEN, _HIDDEN_FRAMES = 0.5, 5
+# Covered by more than this it is out of sight, or a second track of what covers it: it is
+# let go of as fast as what nothing hides.
+_OUT_OF_SIGHT = 0.7
 
 
 class Track:
@@ -170,7 +173,8 @@ class Track:
         covered = pairwise_overlap(self.box[None], nearer).max(initial=0) / area
         self.n_hidden += covered > _HIDDEN
         self._slow_down()
-        self._weigh(-self._params.miss_cost * (1 - covered / 2))
+        in_sight = 1 - covered if covered < _OUT_OF_SIGHT else 1
+        self._weigh(-self._params.miss_cost * in_sight)
         if self.identity and not self.is_shown:
             self._widen_behind(nearer)
 

@@ -393,11 +393,11 @@ def test_frames_without_a_box_cost_evidence():
 
 @pytest.mark.parametrize(
     ("left", "bottom", "n_frames"),
-    [(100, 160, 6), (130, 160, 4), (200, 160, 3), (100, 139, 3)],
-    ids=["hidden", "half hidden", "beside", "behind"],
+    [(200, 160, 3), (130, 160, 6), (115, 160, 3), (130, 139, 3)],
+    ids=["beside", "half in sight", "out of sight", "behind"],
 )
-def test_frames_in_which_a_nearer_vehicle_covers_the_place_cost_less(left, bottom, n_frames):
-    # Three of evidence, and half to one a frame.
+def test_a_frame_costs_less_where_a_nearer_vehicle_covers_half_of_the_place(left, bottom, n_frames):
+    # Three of evidence, and one a frame or half of it.
     params = TrackParams(min_iou=0.5, birth=2, most_evidence=3, miss_cost=1)
     tracker = Tracker(params)
     tracker.predict()
