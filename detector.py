@@ -12,8 +12,8 @@ Frames are RGB, uint8. Boxes are float arrays of shape (n, 4): left, top,
 right, bottom in pixels of the frame.
 """
 
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import cv2
@@ -192,8 +192,13 @@ class KernelMachine:
     def predict(self, features):
         """Outputs for features of float32, shape (n, n_features), shape (n, n_outputs)."""
         components = _products(features, self.projection) + self.offset
-        distances = _squared_distances(components, self.centers)
+        distances = _squares(components)[:, None] + self._squared_centers
+        distances -= 2 * _products(components, self.centers)
         return _products(np.exp(np.float32(-self.gamma) * distances), self.weights) + self.bias
+
+    @cached_property
+    def _squared_centers(self):
+        return _squares(self.centers)
 
 
 @dataclass(frozen=True)
@@ -253,10 +258,9 @@ def _products(rows, others):
     return products
 
 
-def _squared_distances(rows, others):
-    """Of every row to every other, shape (n, m)."""
-    squares, other_squares = (np.einsum("ij,ij->i", x, x) for x in (rows, others))
-    return squares[:, None] + other_squares - 2 * _products(rows, others)
+def _squares(rows):
+    """Squared length of every row, shape (n,)."""
+    return np.einsum("ij,ij->i", rows, rows)
 
 
 # --------------------------------------------------------------- first stage
@@ -846,8 +850,9 @@ def save_detector(detector, path):
     for i, template in enumerate(detector.templates):
         arrays |= {f"template{i}_{name}": value for name, value in vars(template).items()}
     for name in ("scorer", "regressor"):
-        machine = vars(getattr(detector, name))
-        arrays |= {f"{name}_{key}": _half(value) for key, value in machine.items()}
+        machine = getattr(detector, name)
+        own = {field.name: getattr(machine, field.name) for field in fields(machine)}
+        arrays |= {f"{name}_{key}": _half(value) for key, value in own.items()}
     with written_whole(path) as partial, open(partial, "wb") as file:
         np.savez_compressed(file, **arrays)
 
