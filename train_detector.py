@@ -146,20 +146,13 @@ def parse_arguments(arguments=None):
         help="a video or a folder of images, MOTChallenge rows of its vehicles, and which frames "
         "to learn from; can be given several times",
     )
-    parser.add_argument(
-        "--crops",
-        nargs="+",
-        default=[],
-        metavar="FOLDER",
-        help="images of vehicles, cut out tightly and squashed to squares, like KITTI's",
-    )
-    parser.add_argument(
-        "--square-crops",
-        nargs="+",
-        default=[],
-        metavar="FOLDER",
-        help="images of vehicles, cut out as squares, like GTI's",
-    )
+    folders = {
+        "--crops": "images of vehicles, cut out tightly and squashed to squares, like KITTI's",
+        "--square-crops": "images of vehicles, cut out as squares, like GTI's",
+        "--non-vehicles": "images without vehicles",
+    }
+    for name, what in folders.items():
+        parser.add_argument(name, nargs="+", default=[], metavar="FOLDER", help=what)
     parser.add_argument(
         "--boxed-crops",
         nargs=2,
@@ -168,13 +161,6 @@ def parse_arguments(arguments=None):
         metavar=("FOLDER", "TRUTH"),
         help="images of vehicles with a margin, and MOTChallenge rows of some of them, the n-th "
         "image, in the order of names, being frame n; can be given several times",
-    )
-    parser.add_argument(
-        "--non-vehicles",
-        nargs="+",
-        default=[],
-        metavar="FOLDER",
-        help="images without vehicles",
     )
     parser.add_argument("--out", type=Path, default=Path("param/detector.npz"))
     parser.add_argument("--seed", type=int, default=0, help="of all that is random")
