@@ -690,10 +690,9 @@ def margins_outside(boxes, frame_shape):
         Left, top, right, bottom; from 0 to 1.
     """
     rows, columns = frame_shape[:2]
-    left, top, right, bottom = boxes.T
-    to_border = np.stack([left, top, columns - right, rows - bottom], axis=1)
-    cell = (boxes[:, 2:] - boxes[:, :2]) / PATCH_CELLS
-    within = to_border / np.maximum(PATCH_MARGIN * np.hstack([cell, cell]), 1e-9)
+    margin = PATCH_MARGIN / PATCH_CELLS * (boxes[:, 2:] - boxes[:, :2])
+    to_border = np.hstack([boxes[:, :2], (columns, rows) - boxes[:, 2:]])
+    within = to_border / np.maximum(np.hstack([margin, margin]), 1e-9)
     return np.clip(1 - within, 0, 1).astype(np.float32)
 
 

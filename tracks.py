@@ -355,13 +355,15 @@ class Tracker:
 
     def _gain(self, boxes, tracks, are_out_of_sight, max_growth):
         """IoU of every box with every prediction, 0 where it is not the track's; shape (n, m)."""
-        expected = np.array([track.box for track in tracks]).reshape(-1, 4)
+        if not len(boxes) or not tracks:
+            return np.zeros((len(boxes), len(tracks)))
+        expected = np.array([track.box for track in tracks])
         heights, own_heights = (b[:, 3] - b[:, 1] for b in (boxes, expected))
         growth = heights[:, None] / np.maximum(own_heights, 1e-9)
-        wide, expected_wide = (_widened(b, self.params.reach) for b in (boxes, expected))
-        iou = np.where(
-            are_out_of_sight, pairwise_iou(wide, expected_wide), pairwise_iou(boxes, expected)
-        )
+        iou = pairwise_iou(boxes, expected)
+        if any(are_out_of_sight):
+            wide, expected_wide = (_widened(b, self.params.reach) for b in (boxes, expected))
+            iou = np.where(are_out_of_sight, pairwise_iou(wide, expected_wide), iou)
         alike = np.maximum(growth, 1 / np.maximum(growth, 1e-9)) <= max_growth
         return np.where(alike & (iou >= self.params.min_iou), iou, 0)
 
