@@ -23,7 +23,7 @@ from numba import njit
 from dense_hog import cell_histograms, correlate
 from files import written_whole
 from pipeline_functions import convert_color
-from threads import share, side_by_side
+from threads import side_by_side
 from tracks import box_areas, pairwise_overlap
 
 COLOR = "YCrCb"
@@ -56,8 +56,6 @@ N_ALL_FEATURES = PATCH_SIDE**2 * (CELL_FEATURES + CHROMA_FEATURES) + N_BORDERS
 _MOST_BOXES = 400
 # What scores less where it was proposed is not a vehicle nearby either.
 _HOPELESS = -1.0
-# Boxes that take longer to look at than waking a thread.
-_WORTH_A_THREAD = 2
 
 # Where there are no gradients at all, in roots of grey levels.
 _LEAST_LENGTH = np.float32(1e-3)
@@ -723,7 +721,8 @@ def move_edges(boxes, shifts):
 def look_closer(img, boxes, detector):
     """Move the edges of boxes to where they belong, and score them there.
 
-    What is hopeless where it was proposed stays there, with its score.
+    What is hopeless where it was proposed stays there, with its score. In one thread:
+    of its many short calls each would wait for those of the other.
 
     Parameters
     ----------
@@ -738,16 +737,6 @@ def look_closer(img, boxes, detector):
     scores : ndarray of float32, shape (n,)
         Decision function, positive for vehicles.
     """
-    parts = share(
-        lambda first, last: _look_closer(img, boxes[first:last], detector),
-        len(boxes), len(boxes) // _WORTH_A_THREAD,
-    )  # fmt: skip
-    boxes, scores = map(np.concatenate, zip(*parts, strict=True))
-    return boxes, scores
-
-
-def _look_closer(img, boxes, detector):
-    """`look_closer` on one core."""
     boxes = on_whole_pixels(boxes)
     outside = margins_outside(boxes, img.shape)
     planes = luma_and_chroma(cut_patches(img, boxes))
