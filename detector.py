@@ -104,7 +104,7 @@ class ScanParams:
     n_groups: int = 5
     threshold: float = -0.5
     n_proposals: int = 10
-    n_entering: int = 2
+    n_entering: int = 1
     overlap: float = 0.5
 
     def __post_init__(self):
