@@ -90,8 +90,8 @@ class ScanParams:
         taken from all levels together, the many small windows would crowd out
         the few large ones.
     n_entering : int
-        And so many more of the best that end within a cell and a half of the left
-        or right border, in all: vehicles that enter show too little to be among the best.
+        And so many more of the best that end within a cell and a half of the left or
+        right border: vehicles that enter show too little to be among the best of all.
     overlap : float
         IoU above which the better of two windows is taken for both.
     """
