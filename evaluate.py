@@ -112,7 +112,8 @@ def rows_of(boxes):
     frames = np.repeat(np.arange(1, len(boxes) + 1), counts)
     stacked = np.concatenate([np.reshape(of_frame, (-1, 4)) for of_frame in boxes])
     unknown = np.full(len(frames), -1)
-    return Rows(frames, unknown, stacked.astype(float), np.ones(len(frames)), unknown)
+    scores = np.ones(len(frames))
+    return Rows(frames, unknown, stacked.astype(float), scores, visibility=unknown.astype(float))
 
 
 def match(required, detected, iou_threshold=0.5):

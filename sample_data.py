@@ -74,18 +74,7 @@ def random_scene(seed):
         distance = rng.uniform(5, 22)
         while distance < 95:
             kind = str(rng.choice(list(BODIES), p=(0.34, 0.24, 0.22, 0.12, 0.08)))
-            actors.append(
-                Actor(
-                    identity=len(actors) + 1,
-                    kind=kind,
-                    paint=PAINTS[rng.integers(len(PAINTS))],
-                    distance=float(distance),
-                    speed=0.0,
-                    lane=lane + float(rng.normal(0, 0.06)),
-                    size=float(rng.uniform(0.94, 1.07)),
-                    style=int(rng.integers(1_000_000)),
-                )
-            )
+            actors.append(_standing(len(actors) + 1, kind, distance, lane, rng))
             distance += BODIES[kind].length + rng.uniform(7, 45)
     beside = _vehicles_beside(empty, actors, np.random.default_rng([seed, 14]))
     return make_world(seed, actors + beside)
@@ -99,12 +88,23 @@ def _vehicles_beside(world, actors, rng):
         distance = rng.uniform(1.5 - BODIES[kind].length, 5)
         ahead = min((a.distance for a in actors if round(a.lane) == lane), default=np.inf)
         if rng.random() < 0.5 and distance + BODIES[kind].length + 1.5 < ahead:
-            number = len(actors) + len(beside) + 1
-            paint = PAINTS[rng.integers(len(PAINTS))]
-            place = lane + float(rng.normal(0, 0.06))
-            size, style = float(rng.uniform(0.94, 1.07)), int(rng.integers(1_000_000))
-            beside.append(Actor(number, kind, paint, distance, 0.0, place, size=size, style=style))
+            identity = len(actors) + len(beside) + 1
+            beside.append(_standing(identity, kind, distance, lane, rng))
     return beside
+
+
+def _standing(identity, kind, distance, lane, rng):
+    """A vehicle near the middle of a lane, of any paint, size and style."""
+    return Actor(
+        identity=identity,
+        kind=kind,
+        paint=PAINTS[rng.integers(len(PAINTS))],
+        distance=float(distance),
+        speed=0.0,
+        lane=lane + float(rng.normal(0, 0.06)),
+        size=float(rng.uniform(0.94, 1.07)),
+        style=int(rng.integers(1_000_000)),
+    )
 
 
 def driving_world(seed):
