@@ -27,7 +27,6 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 
 from classifier import load_classifier
-from dense_hog import hog_blocks
 from detect import annotate_video
 from detector import keep_wholes, level_groups, look_closer, propose
 from files import find_images, read_image, written_whole
@@ -44,6 +43,7 @@ from pipeline_functions import (
 )
 from train import train
 from vehicle import Vehicle
+from vehicle_detection.compiled.hog import hog_blocks
 from video import VideoInfo, read_frames, video_info, video_writer
 
 sys.path.insert(0, str(Path(__file__).parent / "tests"))

@@ -18,8 +18,8 @@ from numpy.lib.stride_tricks import as_strided
 from scipy.ndimage import find_objects, label, maximum
 from skimage.feature import hog
 
-from dense_hog import correlate, hog_blocks, tile_histograms
-from threads import side_by_side
+from vehicle_detection.compiled.hog import correlate, hog_blocks, tile_histograms
+from vehicle_detection.compiled.threads import side_by_side
 
 # ---------------------------------------------------------------- parameters
 

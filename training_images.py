@@ -5,7 +5,7 @@ import numpy as np
 from tqdm import tqdm
 
 from files import read_image
-from threads import side_by_side
+from vehicle_detection.compiled.threads import side_by_side
 
 # Handing images over one by one takes about as long again as reading them.
 _IMAGES_PER_RUN = 500

@@ -5,7 +5,7 @@ import numpy as np
 
 import calibrate
 from pipeline_functions import draw_vehicles
-from threads import share
+from vehicle_detection.compiled.threads import share
 
 _ROWS_WORTH_A_THREAD = 100
 

@@ -12,7 +12,6 @@ from skimage.feature import hog
 from sklearn.metrics.pairwise import rbf_kernel
 
 from conftest import random_detector, textured_image
-from dense_hog import cell_histograms
 from detector import (
     CELL_FEATURES,
     CHROMA_FEATURES,
@@ -59,6 +58,7 @@ from detector import (
 )
 from pipeline_functions import convert_color
 from tracks import pairwise_iou
+from vehicle_detection.compiled.hog import cell_histograms
 
 SIDE = PATCH_CELLS * PATCH_CELL
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from threads import share, side_by_side
+from vehicle_detection.compiled.threads import share, side_by_side
 
 
 @given(st.lists(st.integers(), max_size=20))

@@ -20,7 +20,7 @@ import math
 import numpy as np
 from numba import njit
 
-from threads import share
+from vehicle_detection.compiled.threads import share
 
 _COMPILE = dict(cache=True, nogil=True, error_model="numpy")
 # Several terms of a sum at once: no order of them is the right one.

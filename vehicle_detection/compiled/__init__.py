@@ -1,0 +1,1 @@
+"""What is fast: HOG, sums over windows, threads."""
