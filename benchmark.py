@@ -26,10 +26,8 @@ from moviepy import VideoFileClip
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 
-from classifier import load_classifier
 from detect import annotate_video
 from detector import keep_wholes, level_groups, look_closer, propose
-from files import find_images, read_image, written_whole
 from heat_vehicle import HeatVehicle
 from pipeline_functions import (
     FEATURE_PRESETS,
@@ -43,8 +41,10 @@ from pipeline_functions import (
 )
 from train import train
 from vehicle import Vehicle
+from vehicle_detection.classifier import load_classifier
 from vehicle_detection.compiled.hog import hog_blocks
-from video import VideoInfo, read_frames, video_info, video_writer
+from vehicle_detection.media.images import find_images, read_image, written_whole
+from vehicle_detection.media.videos import VideoInfo, read_frames, video_info, video_writer
 
 sys.path.insert(0, str(Path(__file__).parent / "tests"))
 import reference

@@ -11,7 +11,10 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from files import (
+from heat_vehicle import FILTER_PRESETS, HeatVehicle
+from pipeline_functions import SEARCH_PRESETS
+from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
+from vehicle_detection.media.images import (
     IMAGE_SUFFIXES,
     VIDEO_SUFFIXES,
     find_images,
@@ -19,10 +22,7 @@ from files import (
     write_image,
     write_whole,
 )
-from heat_vehicle import FILTER_PRESETS, HeatVehicle
-from pipeline_functions import SEARCH_PRESETS
-from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
-from video import ENCODER_PRESETS, read_frames, video_info, video_writer
+from vehicle_detection.media.videos import ENCODER_PRESETS, read_frames, video_info, video_writer
 
 
 def mot_rows(frame_number, detections):

@@ -29,14 +29,14 @@ from sklearn.metrics import roc_auc_score
 from sklearn.model_selection import GroupKFold, train_test_split
 from tqdm import tqdm
 
-from classifier import Classifier, save_classifier
 from evaluate import evaluate, read_rows, rows_of
-from files import find_images, write_whole, written_whole
 from heat_vehicle import HeatVehicle
 from pipeline_functions import SEARCH_PRESETS, FeatureParams, SearchParams, extract_features
 from train import fit_linear, fit_searched
-from training_images import read_windows
-from video import read_frames
+from vehicle_detection.classifier import Classifier, save_classifier
+from vehicle_detection.media.images import find_images, write_whole, written_whole
+from vehicle_detection.media.training_images import read_windows
+from vehicle_detection.media.videos import read_frames
 
 SEEDS = (0, 1, 2)
 _HELD_OUT = 0.2

@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 from scipy.ndimage import label
 
-from classifier import load_classifier
 from pipeline_functions import (
     SEARCH_PRESETS,
     HeatGrid,
@@ -22,7 +21,8 @@ from pipeline_functions import (
     slide_window,
 )
 from tracks import HEAT_TRACKS, Tracker
-from viewer import Viewer
+from vehicle_detection.classifier import load_classifier
+from vehicle_detection.media.viewer import Viewer
 
 # Hot windows on one place that the pictures of heat show at their brightest.
 _HEAT_FULL_SCALE = 8

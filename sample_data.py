@@ -16,7 +16,6 @@ import numpy as np
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from files import write_image, write_whole
 from render import (
     BODIES,
     PAINTS,
@@ -26,7 +25,8 @@ from render import (
     perspective_through_lens,
     render,
 )
-from video import VideoInfo, video_writer
+from vehicle_detection.media.images import write_image, write_whole
+from vehicle_detection.media.videos import VideoInfo, video_writer
 
 FPS = 25
 _CLASS_CAR = 3

@@ -15,10 +15,10 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC, LinearSVC
 
-from classifier import Classifier, save_classifier
-from files import find_images
 from pipeline_functions import FEATURE_PRESETS, extract_features
-from training_images import read_windows
+from vehicle_detection.classifier import Classifier, save_classifier
+from vehicle_detection.media.images import find_images
+from vehicle_detection.media.training_images import read_windows
 
 
 def parse_arguments(arguments=None):

@@ -9,7 +9,6 @@ from hypothesis import settings
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC, LinearSVC
 
-from classifier import Classifier
 from detector import (
     CELL_FEATURES,
     N_ALL_FEATURES,
@@ -21,6 +20,7 @@ from detector import (
     Template,
 )
 from pipeline_functions import FEATURE_PRESETS
+from vehicle_detection.classifier import Classifier
 
 ROOT = Path(__file__).parent.parent
 SHARED = ROOT.parent / "shared"

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from calibrate import calibrate, load_calibration, save_calibration
-from files import find_images, write_image
 from render import Camera
 from sample_data import chessboard_photo
+from vehicle_detection.media.calibration import calibrate, load_calibration, save_calibration
+from vehicle_detection.media.images import find_images, write_image
 
 
 @pytest.fixture(scope="module")

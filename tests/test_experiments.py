@@ -23,7 +23,7 @@ from experiments import (
     runs,
     workers,
 )
-from files import write_image
+from vehicle_detection.media.images import write_image
 
 CONFIGURATIONS = read_configurations(ROOT / "results/configurations.csv")
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import reference
-from calibrate import calibrate
-from classifier import load_classifier
 from conftest import ROOT
-from files import find_images
 from pipeline_functions import FEATURE_PRESETS, SEARCH_PRESETS, find_cars
 from train import parse_arguments, train
-from video import read_frames
+from vehicle_detection.classifier import load_classifier
+from vehicle_detection.media.calibration import calibrate
+from vehicle_detection.media.images import find_images
+from vehicle_detection.media.videos import read_frames
 
 
 @pytest.fixture

@@ -5,11 +5,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from classifier import load_classifier
 from conftest import ROOT
 from pipeline_functions import SearchParams, find_cars
 from render import BODIES, Actor, Camera, View, _actor_mesh, make_world, render
 from sample_data import cut_scene, driving_world, random_scene, truth_rows
+from vehicle_detection.classifier import load_classifier
 
 
 def test_same_seed_same_frame():

@@ -10,12 +10,12 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 
 import train
-import training_images
-from classifier import load_classifier, save_classifier
 from conftest import ROOT, random_classifier, textured_image
-from files import read_image, write_image
 from pipeline_functions import FEATURE_PRESETS, FeatureParams, extract_features
-from training_images import read_windows
+from vehicle_detection.classifier import load_classifier, save_classifier
+from vehicle_detection.media import training_images
+from vehicle_detection.media.images import read_image, write_image
+from vehicle_detection.media.training_images import read_windows
 
 
 @pytest.fixture(scope="module")

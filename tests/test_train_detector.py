@@ -21,7 +21,6 @@ from detector import (
     on_whole_pixels,
 )
 from evaluate import evaluate, read_rows
-from files import write_image
 from pipeline_functions import convert_color
 from render import render
 from sample_data import random_scene, truth_rows
@@ -52,7 +51,8 @@ from train_detector import (
     worn,
 )
 from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
-from video import VideoInfo, video_writer
+from vehicle_detection.media.images import write_image
+from vehicle_detection.media.videos import VideoInfo, video_writer
 
 
 def boxes_of(seed, count, width=320, height=180):

@@ -12,7 +12,7 @@ from evaluate import Rows, evaluate, read_rows
 from pipeline_functions import identity_color
 from tracks import TrackParams
 from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle, are_whole_cars
-from video import read_frames
+from vehicle_detection.media.videos import read_frames
 
 EAGER = TrackParams(birth=0.2, most_evidence=2.0, miss_cost=0.7)
 

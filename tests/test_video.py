@@ -10,12 +10,9 @@ import numpy as np
 import pytest
 
 import reference
-from calibrate import Calibration, save_calibration
-from classifier import save_classifier
 from conftest import ROOT, random_classifier, random_detector, textured_image
 from detect import mot_rows
 from detector import save_detector
-from files import write_image
 from heat_vehicle import FILTER_PRESETS, FilterParams, HeatVehicle
 from pipeline_functions import (
     FEATURE_PRESETS,
@@ -25,7 +22,10 @@ from pipeline_functions import (
     identity_color,
 )
 from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
-from video import VideoInfo, read_frames, video_info, video_writer
+from vehicle_detection.classifier import save_classifier
+from vehicle_detection.media.calibration import Calibration, save_calibration
+from vehicle_detection.media.images import write_image
+from vehicle_detection.media.videos import VideoInfo, read_frames, video_info, video_writer
 
 
 def moving_frames(count, rows=180, columns=320):

@@ -3,9 +3,9 @@
 import cv2
 import numpy as np
 
-import calibrate
 from pipeline_functions import draw_vehicles
 from vehicle_detection.compiled.threads import share
+from vehicle_detection.media import calibration as calibrate
 
 _ROWS_WORTH_A_THREAD = 100
 

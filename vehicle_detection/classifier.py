@@ -9,8 +9,8 @@ import numpy as np
 import sklearn
 from sklearn.preprocessing import StandardScaler
 
-from files import write_whole
 from pipeline_functions import FeatureParams
+from vehicle_detection.media.images import write_whole
 
 FORMAT_VERSION = 1
 

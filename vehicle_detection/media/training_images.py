@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from files import read_image
 from vehicle_detection.compiled.threads import side_by_side
+from vehicle_detection.media.images import read_image
 
 # Handing images over one by one takes about as long again as reading them.
 _IMAGES_PER_RUN = 500

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from moviepy.config import FFMPEG_BINARY
 
-from files import written_whole
+from vehicle_detection.media.images import written_whole
 
 _QUEUE_LENGTH = 8
 # Decoding runs beside the search. Threads that take turns at one frame each need more
