@@ -21,10 +21,10 @@ import numpy as np
 from numba import njit
 
 from pipeline_functions import convert_color
-from tracks import box_areas, pairwise_overlap
 from vehicle_detection.compiled.hog import cell_histograms, correlate
 from vehicle_detection.compiled.threads import side_by_side
 from vehicle_detection.media.images import written_whole
+from vehicle_detection.tracking.tracker import box_areas, pairwise_overlap
 
 COLOR = "YCrCb"
 ORIENTATIONS = 9

@@ -18,8 +18,8 @@ import motmetrics
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from tracks import pairwise_iou, pairwise_overlap
 from vehicle_detection.media.images import written_whole
+from vehicle_detection.tracking.tracker import pairwise_iou, pairwise_overlap
 
 HEIGHT_EDGES = (30, 40, 60, 100, np.inf)
 # A vehicle that comes back after this many frames has to be found anew.

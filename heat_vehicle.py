@@ -20,9 +20,9 @@ from pipeline_functions import (
     labeled_boxes,
     slide_window,
 )
-from tracks import HEAT_TRACKS, Tracker
 from vehicle_detection.classifier import load_classifier
 from vehicle_detection.media.viewer import Viewer
+from vehicle_detection.tracking.tracker import HEAT_TRACKS, Tracker
 
 # Hot windows on one place that the pictures of heat show at their brightest.
 _HEAT_FULL_SCALE = 8

@@ -53,10 +53,10 @@ from detector import (
 )
 from evaluate import frame_range, read_rows
 from sample_data import in_parallel
-from tracks import box_areas, pairwise_iou, pairwise_overlap
 from vehicle_detection.media.images import VIDEO_SUFFIXES, find_images, read_image
 from vehicle_detection.media.training_images import read_window
 from vehicle_detection.media.videos import read_frames
+from vehicle_detection.tracking.tracker import box_areas, pairwise_iou, pairwise_overlap
 
 # A vehicle lower than this, or of which less is seen, shows too little to learn from.
 _LOWEST, _LEAST_SEEN = 13, 1 / 3

@@ -24,8 +24,8 @@ from detector import (
 )
 from pipeline_functions import draw_boxes, draw_vehicles
 from road import fit_road, lowness, stand_on_road, usual_road
-from tracks import Tracker, TrackParams, pairwise_iou
 from vehicle_detection.media.viewer import Viewer
+from vehicle_detection.tracking.tracker import Tracker, TrackParams, pairwise_iou
 
 DEFAULT_TRACKS = TrackParams(
     min_iou=0.2, max_growth=1.4, reach=0.25, max_missed=75,

@@ -57,8 +57,8 @@ from detector import (
     window_scores,
 )
 from pipeline_functions import convert_color
-from tracks import pairwise_iou
 from vehicle_detection.compiled.hog import cell_histograms
+from vehicle_detection.tracking.tracker import pairwise_iou
 
 SIDE = PATCH_CELLS * PATCH_CELL
 

@@ -22,7 +22,7 @@ from evaluate import (
     read_rows,
     rows_of,
 )
-from tracks import pairwise_iou
+from vehicle_detection.tracking.tracker import pairwise_iou
 
 
 def rows(*values):

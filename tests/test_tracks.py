@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline_functions import draw_vehicles, identity_color
-from tracks import Tracker, TrackParams, pairwise_iou
+from vehicle_detection.tracking.tracker import Tracker, TrackParams, pairwise_iou
 
 
 def box_at(x, y=100, width=60, height=40):

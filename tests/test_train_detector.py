@@ -24,7 +24,6 @@ from evaluate import evaluate, read_rows
 from pipeline_functions import convert_color
 from render import render
 from sample_data import random_scene, truth_rows
-from tracks import pairwise_iou, pairwise_overlap
 from train_detector import (
     Example,
     TrainingSet,
@@ -53,6 +52,7 @@ from train_detector import (
 from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
 from vehicle_detection.media.images import write_image
 from vehicle_detection.media.videos import VideoInfo, video_writer
+from vehicle_detection.tracking.tracker import pairwise_iou, pairwise_overlap
 
 
 def boxes_of(seed, count, width=320, height=180):

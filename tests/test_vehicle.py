@@ -10,9 +10,9 @@ from conftest import ROOT, random_detector, textured_image
 from detector import save_detector
 from evaluate import Rows, evaluate, read_rows
 from pipeline_functions import identity_color
-from tracks import TrackParams
 from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle, are_whole_cars
 from vehicle_detection.media.videos import read_frames
+from vehicle_detection.tracking.tracker import TrackParams
 
 EAGER = TrackParams(birth=0.2, most_evidence=2.0, miss_cost=0.7)
 
