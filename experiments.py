@@ -29,11 +29,11 @@ from sklearn.metrics import roc_auc_score
 from sklearn.model_selection import GroupKFold, train_test_split
 from tqdm import tqdm
 
-from evaluate import evaluate, read_rows, rows_of
 from heat_vehicle import HeatVehicle
 from pipeline_functions import SEARCH_PRESETS, FeatureParams, SearchParams, extract_features
 from train import fit_linear, fit_searched
 from vehicle_detection.classifier import Classifier, save_classifier
+from vehicle_detection.evaluation.metrics import evaluate, read_rows, rows_of
 from vehicle_detection.media.images import find_images, write_whole, written_whole
 from vehicle_detection.media.training_images import read_windows
 from vehicle_detection.media.videos import read_frames

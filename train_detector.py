@@ -51,8 +51,8 @@ from detector import (
     propose,
     save_detector,
 )
-from evaluate import frame_range, read_rows
 from sample_data import in_parallel
+from vehicle_detection.evaluation.metrics import frame_range, read_rows
 from vehicle_detection.media.images import VIDEO_SUFFIXES, find_images, read_image
 from vehicle_detection.media.training_images import read_window
 from vehicle_detection.media.videos import read_frames

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import ROOT
-from evaluate import (
+from vehicle_detection.evaluation.metrics import (
     Rows,
     errors_by_frame,
     evaluate,

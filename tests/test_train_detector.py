@@ -20,7 +20,6 @@ from detector import (
     margins_outside,
     on_whole_pixels,
 )
-from evaluate import evaluate, read_rows
 from pipeline_functions import convert_color
 from render import render
 from sample_data import random_scene, truth_rows
@@ -50,6 +49,7 @@ from train_detector import (
     worn,
 )
 from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
+from vehicle_detection.evaluation.metrics import evaluate, read_rows
 from vehicle_detection.media.images import write_image
 from vehicle_detection.media.videos import VideoInfo, video_writer
 from vehicle_detection.tracking.tracker import pairwise_iou, pairwise_overlap

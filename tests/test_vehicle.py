@@ -8,9 +8,9 @@ import pytest
 
 from conftest import ROOT, random_detector, textured_image
 from detector import save_detector
-from evaluate import Rows, evaluate, read_rows
 from pipeline_functions import identity_color
 from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle, are_whole_cars
+from vehicle_detection.evaluation.metrics import Rows, evaluate, read_rows
 from vehicle_detection.media.videos import read_frames
 from vehicle_detection.tracking.tracker import TrackParams
 
