@@ -27,7 +27,6 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 
 from detect import annotate_video
-from detector import keep_wholes, level_groups, look_closer, propose
 from heat_vehicle import HeatVehicle
 from pipeline_functions import (
     FEATURE_PRESETS,
@@ -40,11 +39,12 @@ from pipeline_functions import (
     slide_window,
 )
 from train import train
-from vehicle import Vehicle
 from vehicle_detection.classifier import load_classifier
 from vehicle_detection.compiled.hog import hog_blocks
 from vehicle_detection.media.images import find_images, read_image, written_whole
 from vehicle_detection.media.videos import VideoInfo, read_frames, video_info, video_writer
+from vehicle_detection.two_stage.detector import keep_wholes, level_groups, look_closer, propose
+from vehicle_detection.two_stage.vehicle import Vehicle
 
 sys.path.insert(0, str(Path(__file__).parent / "tests"))
 import reference

@@ -13,7 +13,6 @@ from tqdm import tqdm
 
 from heat_vehicle import FILTER_PRESETS, HeatVehicle
 from pipeline_functions import SEARCH_PRESETS
-from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
 from vehicle_detection.media.images import (
     IMAGE_SUFFIXES,
     VIDEO_SUFFIXES,
@@ -23,6 +22,7 @@ from vehicle_detection.media.images import (
     write_whole,
 )
 from vehicle_detection.media.videos import ENCODER_PRESETS, read_frames, video_info, video_writer
+from vehicle_detection.two_stage.vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
 
 
 def mot_rows(frame_number, detections):

@@ -9,7 +9,9 @@ from hypothesis import settings
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC, LinearSVC
 
-from detector import (
+from pipeline_functions import FEATURE_PRESETS
+from vehicle_detection.classifier import Classifier
+from vehicle_detection.two_stage.detector import (
     CELL_FEATURES,
     N_ALL_FEATURES,
     N_INNER_FEATURES,
@@ -19,8 +21,6 @@ from detector import (
     KernelMachine,
     Template,
 )
-from pipeline_functions import FEATURE_PRESETS
-from vehicle_detection.classifier import Classifier
 
 ROOT = Path(__file__).parent.parent
 SHARED = ROOT.parent / "shared"

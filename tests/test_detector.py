@@ -12,7 +12,10 @@ from skimage.feature import hog
 from sklearn.metrics.pairwise import rbf_kernel
 
 from conftest import random_detector, textured_image
-from detector import (
+from pipeline_functions import convert_color
+from vehicle_detection.compiled.hog import cell_histograms
+from vehicle_detection.tracking.tracker import pairwise_iou
+from vehicle_detection.two_stage.detector import (
     CELL_FEATURES,
     CHROMA_FEATURES,
     COLOR,
@@ -56,9 +59,6 @@ from detector import (
     suppress,
     window_scores,
 )
-from pipeline_functions import convert_color
-from vehicle_detection.compiled.hog import cell_histograms
-from vehicle_detection.tracking.tracker import pairwise_iou
 
 SIDE = PATCH_CELLS * PATCH_CELL
 

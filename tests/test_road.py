@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from road import Road, fit_road, lowness, stand_on_road, usual_road
+from vehicle_detection.two_stage.road import Road, fit_road, lowness, stand_on_road, usual_road
 
 
 def cars(rng, count, horizon, camera_to_car, heights=(30, 200)):

@@ -9,9 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import train_detector
 from conftest import ROOT, textured_image
-from detector import (
+from pipeline_functions import convert_color
+from render import render
+from sample_data import random_scene, truth_rows
+from vehicle_detection.evaluation.metrics import evaluate, read_rows
+from vehicle_detection.media.images import write_image
+from vehicle_detection.media.videos import VideoInfo, video_writer
+from vehicle_detection.tracking.tracker import pairwise_iou, pairwise_overlap
+from vehicle_detection.two_stage.detector import (
     N_ALL_FEATURES,
     WINDOW_CELL,
     WINDOW_ROWS,
@@ -20,10 +26,8 @@ from detector import (
     margins_outside,
     on_whole_pixels,
 )
-from pipeline_functions import convert_color
-from render import render
-from sample_data import random_scene, truth_rows
-from train_detector import (
+from vehicle_detection.two_stage.training import training as train_detector
+from vehicle_detection.two_stage.training.training import (
     Example,
     TrainingSet,
     best_iou,
@@ -48,11 +52,7 @@ from train_detector import (
     window_features,
     worn,
 )
-from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
-from vehicle_detection.evaluation.metrics import evaluate, read_rows
-from vehicle_detection.media.images import write_image
-from vehicle_detection.media.videos import VideoInfo, video_writer
-from vehicle_detection.tracking.tracker import pairwise_iou, pairwise_overlap
+from vehicle_detection.two_stage.vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
 
 
 def boxes_of(seed, count, width=320, height=180):

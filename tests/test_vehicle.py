@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from conftest import ROOT, random_detector, textured_image
-from detector import save_detector
 from pipeline_functions import identity_color
-from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle, are_whole_cars
 from vehicle_detection.evaluation.metrics import Rows, evaluate, read_rows
 from vehicle_detection.media.videos import read_frames
 from vehicle_detection.tracking.tracker import TrackParams
+from vehicle_detection.two_stage.detector import save_detector
+from vehicle_detection.two_stage.vehicle import STILL_SCAN, STILL_TRACKS, Vehicle, are_whole_cars
 
 EAGER = TrackParams(birth=0.2, most_evidence=2.0, miss_cost=0.7)
 

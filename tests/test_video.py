@@ -12,7 +12,6 @@ import pytest
 import reference
 from conftest import ROOT, random_classifier, random_detector, textured_image
 from detect import mot_rows
-from detector import save_detector
 from heat_vehicle import FILTER_PRESETS, FilterParams, HeatVehicle
 from pipeline_functions import (
     FEATURE_PRESETS,
@@ -21,11 +20,12 @@ from pipeline_functions import (
     are_near,
     identity_color,
 )
-from vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
 from vehicle_detection.classifier import save_classifier
 from vehicle_detection.media.calibration import Calibration, save_calibration
 from vehicle_detection.media.images import write_image
 from vehicle_detection.media.videos import VideoInfo, read_frames, video_info, video_writer
+from vehicle_detection.two_stage.detector import save_detector
+from vehicle_detection.two_stage.vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
 
 
 def moving_frames(count, rows=180, columns=320):

@@ -8,7 +8,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from detector import (
+from pipeline_functions import draw_boxes, draw_vehicles
+from vehicle_detection.media.viewer import Viewer
+from vehicle_detection.tracking.tracker import Tracker, TrackParams, pairwise_iou
+from vehicle_detection.two_stage.detector import (
     DEFAULT_SCAN,
     ScanParams,
     are_plausible,
@@ -22,10 +25,7 @@ from detector import (
     near_horizon,
     propose,
 )
-from pipeline_functions import draw_boxes, draw_vehicles
-from road import fit_road, lowness, stand_on_road, usual_road
-from vehicle_detection.media.viewer import Viewer
-from vehicle_detection.tracking.tracker import Tracker, TrackParams, pairwise_iou
+from vehicle_detection.two_stage.road import fit_road, lowness, stand_on_road, usual_road
 
 DEFAULT_TRACKS = TrackParams(
     min_iou=0.2, max_growth=1.4, reach=0.25, max_missed=75,

@@ -25,7 +25,13 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 from tqdm import tqdm
 
-from detector import (
+from sample_data import in_parallel
+from vehicle_detection.evaluation.metrics import frame_range, read_rows
+from vehicle_detection.media.images import VIDEO_SUFFIXES, find_images, read_image
+from vehicle_detection.media.training_images import read_window
+from vehicle_detection.media.videos import read_frames
+from vehicle_detection.tracking.tracker import box_areas, pairwise_iou, pairwise_overlap
+from vehicle_detection.two_stage.detector import (
     DEFAULT_SCAN,
     N_BORDERS,
     SURROUNDINGS,
@@ -51,12 +57,6 @@ from detector import (
     propose,
     save_detector,
 )
-from sample_data import in_parallel
-from vehicle_detection.evaluation.metrics import frame_range, read_rows
-from vehicle_detection.media.images import VIDEO_SUFFIXES, find_images, read_image
-from vehicle_detection.media.training_images import read_window
-from vehicle_detection.media.videos import read_frames
-from vehicle_detection.tracking.tracker import box_areas, pairwise_iou, pairwise_overlap
 
 # A vehicle lower than this, or of which less is seen, shows too little to learn from.
 _LOWEST, _LEAST_SEEN = 13, 1 / 3
