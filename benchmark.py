@@ -27,7 +27,6 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 
 from detect import annotate_video
-from heat_vehicle import HeatVehicle
 from pipeline_functions import (
     FEATURE_PRESETS,
     SEARCH_PRESETS,
@@ -39,6 +38,7 @@ from pipeline_functions import (
     slide_window,
 )
 from train import train
+from vehicle import HeatVehicle
 from vehicle_detection.classifier import load_classifier
 from vehicle_detection.compiled.hog import hog_blocks
 from vehicle_detection.media.images import find_images, read_image, written_whole

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from heat_vehicle import FILTER_PRESETS, HeatVehicle
 from pipeline_functions import SEARCH_PRESETS
+from vehicle import FILTER_PRESETS, HeatVehicle
 from vehicle_detection.media.images import (
     IMAGE_SUFFIXES,
     VIDEO_SUFFIXES,

@@ -29,9 +29,9 @@ from sklearn.metrics import roc_auc_score
 from sklearn.model_selection import GroupKFold, train_test_split
 from tqdm import tqdm
 
-from heat_vehicle import HeatVehicle
 from pipeline_functions import SEARCH_PRESETS, FeatureParams, SearchParams, extract_features
 from train import fit_linear, fit_searched
+from vehicle import HeatVehicle
 from vehicle_detection.classifier import Classifier, save_classifier
 from vehicle_detection.evaluation.metrics import evaluate, read_rows, rows_of
 from vehicle_detection.media.images import find_images, write_whole, written_whole

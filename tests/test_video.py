@@ -12,7 +12,6 @@ import pytest
 import reference
 from conftest import ROOT, random_classifier, random_detector, textured_image
 from detect import mot_rows
-from heat_vehicle import FILTER_PRESETS, FilterParams, HeatVehicle
 from pipeline_functions import (
     FEATURE_PRESETS,
     SEARCH_PRESETS,
@@ -20,6 +19,7 @@ from pipeline_functions import (
     are_near,
     identity_color,
 )
+from vehicle import FILTER_PRESETS, FilterParams, HeatVehicle
 from vehicle_detection.classifier import save_classifier
 from vehicle_detection.media.calibration import Calibration, save_calibration
 from vehicle_detection.media.images import write_image
