@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from render import Camera
-from sample_data import chessboard_photo
+from rendered_road.render import Camera
+from rendered_road.sample import chessboard_photo
 from vehicle_detection.media.calibration import calibrate, load_calibration, save_calibration
 from vehicle_detection.media.images import find_images, write_image
 

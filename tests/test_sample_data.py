@@ -7,8 +7,8 @@ import pytest
 
 from conftest import ROOT
 from pipeline_functions import SearchParams, find_cars
-from render import BODIES, Actor, Camera, View, _actor_mesh, make_world, render
-from sample_data import cut_scene, driving_world, random_scene, truth_rows
+from rendered_road.render import BODIES, Actor, Camera, View, _actor_mesh, make_world, render
+from rendered_road.sample import cut_scene, driving_world, random_scene, truth_rows
 from vehicle_detection.classifier import load_classifier
 
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from conftest import ROOT, textured_image
 from pipeline_functions import convert_color
-from render import render
-from sample_data import random_scene, truth_rows
+from rendered_road.render import render
+from rendered_road.sample import random_scene, truth_rows
 from vehicle_detection.evaluation.metrics import evaluate, read_rows
 from vehicle_detection.media.images import write_image
 from vehicle_detection.media.videos import VideoInfo, video_writer

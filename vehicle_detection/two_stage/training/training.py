@@ -25,7 +25,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 from tqdm import tqdm
 
-from sample_data import in_parallel
+from rendered_road.sample import in_parallel
 from vehicle_detection.evaluation.metrics import frame_range, read_rows
 from vehicle_detection.media.images import VIDEO_SUFFIXES, find_images, read_image
 from vehicle_detection.media.training_images import read_window

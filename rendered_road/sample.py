@@ -16,7 +16,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from render import (
+from rendered_road.render import (
     BODIES,
     PAINTS,
     Actor,

@@ -1,0 +1,1 @@
+"""A rendered motorway: the sample for machines without footage."""
