@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import experiments
 from conftest import ROOT, textured_image
-from experiments import (
+from experiments import table as experiments
+from experiments.table import (
     Dataset,
     feature_params,
     honest_split,

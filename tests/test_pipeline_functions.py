@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import label
 
-import reference
 from conftest import random_classifier, textured_image
+from experiments import reference
 from pipeline_functions import (
     _IMAGES_PER_STRIP,
     FEATURE_PRESETS,

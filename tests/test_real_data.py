@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import reference
 from conftest import ROOT
+from experiments import reference
 from pipeline_functions import FEATURE_PRESETS, SEARCH_PRESETS, find_cars
 from train import parse_arguments, train
 from vehicle_detection.classifier import load_classifier

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-import reference
 from conftest import ROOT, random_classifier, random_detector, textured_image
 from detect import mot_rows
+from experiments import reference
 from pipeline_functions import (
     FEATURE_PRESETS,
     SEARCH_PRESETS,

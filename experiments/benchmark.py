@@ -47,7 +47,7 @@ from vehicle_detection.two_stage.detector import keep_wholes, level_groups, look
 from vehicle_detection.two_stage.vehicle import Vehicle
 
 sys.path.insert(0, str(Path(__file__).parent / "tests"))
-import reference
+from experiments import reference
 
 FRAME_SIZES = ((640, 360), (1280, 720), (1920, 1080))
 

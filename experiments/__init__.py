@@ -1,0 +1,1 @@
+"""Experiments on the write-ups and the benchmark; needs the whole project."""
