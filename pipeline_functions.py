@@ -7,24 +7,21 @@ Every image is RGB, uint8, shape (rows, columns, 3). Every box is
 boxes travel as int arrays of shape (n, 4).
 """
 
-from colorsys import hsv_to_rgb
 from dataclasses import dataclass
 from functools import lru_cache
-from math import ceil, gcd, prod
+from math import ceil
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
 from scipy.ndimage import find_objects, label, maximum
-from skimage.feature import hog
 
-from vehicle_detection.compiled.hog import correlate, hog_blocks, tile_histograms
+from vehicle_detection.compiled import dense_windows
+from vehicle_detection.compiled.hog import hog_blocks
 from vehicle_detection.compiled.threads import side_by_side
-
-# ---------------------------------------------------------------- parameters
+from vehicle_detection.media.drawing import draw_boxes
+from vehicle_detection.parameters import require_color
 
 _CONVERSIONS = {
-    "RGB": None,
     "YCrCb": cv2.COLOR_RGB2YCrCb,
     "HSV": cv2.COLOR_RGB2HSV,
     "HLS": cv2.COLOR_RGB2HLS,
@@ -32,155 +29,6 @@ _CONVERSIONS = {
     "YUV": cv2.COLOR_RGB2YUV,
     "Lab": cv2.COLOR_RGB2Lab,
     "gray": cv2.COLOR_RGB2GRAY,
-}
-
-
-def _require_color(conv):
-    if conv not in _CONVERSIONS:
-        raise ValueError(f"unknown colour space {conv!r}: one of {', '.join(_CONVERSIONS)}")
-
-
-def _channel_count(conv):
-    return 1 if conv == "gray" else 3
-
-
-@dataclass(frozen=True)
-class FeatureParams:
-    """What is measured of a window. A colour of None leaves the group out.
-
-    Attributes
-    ----------
-    spatial_color, hist_color, hog_color : str or None
-        Colour space of each feature group, a name `convert_color` knows.
-    spatial_size : int
-        The window is shrunk to this many pixels a side; divides `window_size`.
-    hist_bins : int
-        Bins of each channel's histogram over 0..256.
-    hog_channel : int or "ALL"
-        Channel of `hog_color` that HOG looks at.
-    orientations, pix_per_cell, cells_per_block : int
-        HOG: bins over 180 degrees, pixels a cell, cells a block.
-        `pix_per_cell` divides `window_size`.
-    window_size : int
-        Side of a training image, and of a window at scale 1, in pixels.
-    """
-
-    spatial_color: str | None = None
-    spatial_size: int = 16
-    hist_color: str | None = None
-    hist_bins: int = 32
-    hog_color: str | None = None
-    hog_channel: int | str = "ALL"
-    orientations: int = 9
-    pix_per_cell: int = 8
-    cells_per_block: int = 2
-    window_size: int = 64
-
-    def __post_init__(self):
-        groups = (self.spatial_color, self.hist_color, self.hog_color)
-        if not any(groups):
-            raise ValueError("no feature group is on: give at least one colour space")
-        for color in groups:
-            if color is not None:
-                _require_color(color)
-        if min(self.spatial_size, self.pix_per_cell, self.window_size) < 1:
-            raise ValueError("spatial_size, pix_per_cell and window_size start at 1")
-        if self.spatial_color and self.window_size % self.spatial_size:
-            raise ValueError(
-                f"spatial_size {self.spatial_size} does not divide "
-                f"the window of {self.window_size} pixels"
-            )
-        if self.window_size % self.pix_per_cell:
-            raise ValueError(
-                f"pix_per_cell {self.pix_per_cell} does not divide "
-                f"the window of {self.window_size} pixels"
-            )
-        if not 1 <= self.cells_per_block <= self.window_size // self.pix_per_cell:
-            raise ValueError(f"{self.cells_per_block} cells per block do not fit a window")
-        if min(self.orientations, self.hist_bins) < 1:
-            raise ValueError("orientations and hist_bins start at 1")
-        if self.hog_color and self.hog_channel not in ("ALL", 0, 1, 2):
-            raise ValueError(f"hog_channel is 0, 1, 2 or 'ALL', not {self.hog_channel!r}")
-        if self.hog_color == "gray" and self.hog_channel not in ("ALL", 0):
-            raise ValueError("a gray image has no HOG channel but 0")
-
-    @property
-    def n_features(self):
-        """Length of the feature vector of one window."""
-        n = 0
-        if self.spatial_color:
-            n += self.spatial_size**2 * _channel_count(self.spatial_color)
-        if self.hist_color:
-            n += self.hist_bins * _channel_count(self.hist_color)
-        if self.hog_color:
-            cells = self.window_size // self.pix_per_cell
-            blocks = cells - self.cells_per_block + 1
-            per_channel = (blocks * self.cells_per_block) ** 2 * self.orientations
-            channels = range(_channel_count(self.hog_color))[_hog_channels(self)]
-            n += per_channel * len(channels)
-        return n
-
-
-FEATURE_PRESETS = {
-    "G": FeatureParams(
-        spatial_color="HLS", spatial_size=16,
-        hog_color="HLS", orientations=8, pix_per_cell=8, cells_per_block=1,
-    ),
-    "B": FeatureParams(
-        spatial_color="YCrCb", spatial_size=32, hist_color="YCrCb", hist_bins=32,
-        hog_color="YCrCb", orientations=9, pix_per_cell=8, cells_per_block=2,
-    ),
-}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class SearchParams:
-    """Where windows lie. Lengths are pixels of a frame of `reference_size`.
-
-    On a frame of another size, scales follow its width, for that is what the
-    field of view fills, and the bands follow its height, for that is where
-    the horizon lies.
-
-    Attributes
-    ----------
-    bands : tuple of (scale, top, bottom)
-        Each scans the rows top..bottom with windows of scale * window_size.
-    cells_per_step : int
-        Distance between neighbouring windows, in HOG cells.
-    threshold : float
-        Windows of a decision function above it are hot.
-    horizon : float or None
-        Row in which the road vanishes. With it, only windows are visited in
-        which a vehicle that stands on the road could be: small ones near the
-        horizon, large ones below, see `may_hold_vehicle`. None visits all.
-    scan_every : int
-        Every so many frames of a video all windows are visited, and between
-        them only those around what was warm in the frame before.
-    reference_size : (width, height)
-    """
-
-    bands: tuple
-    cells_per_step: int = 2
-    threshold: float = 0.0
-    horizon: float | None = None
-    scan_every: int = 1
-    reference_size: tuple = (1280, 720)
-
-    def __post_init__(self):
-        object.__setattr__(self, "bands", tuple(map(tuple, self.bands)))
-        if not self.bands:
-            raise ValueError("a search needs at least one band of (scale, top, bottom)")
-        for scale, top, bottom in self.bands:
-            if scale <= 0 or not 0 <= top < bottom <= self.reference_size[1]:
-                raise ValueError(f"not a band (scale, top, bottom): {(scale, top, bottom)}")
-        if min(self.cells_per_step, self.scan_every) < 1:
-            raise ValueError("cells_per_step and scan_every start at 1")
-
-
-SEARCH_PRESETS = {
-    # G's stills were searched in (1, 380, 550); these are its video's bands.
-    "G": SearchParams(bands=((1, 400, 550), (2, 400, 650), (3, 400, 720), (4, 400, 720))),
-    "B": SearchParams(bands=((1.6, 380, 660),)),
 }
 
 # -------------------------------------------------------------------- colour
@@ -205,11 +53,10 @@ def convert_color(img, conv):
     ValueError
         The colour space is unknown, or `img` is not RGB of uint8.
     """
-    _require_color(conv)
+    require_color(conv)
     if img.ndim != 3 or img.shape[2] != 3 or img.dtype != np.uint8:
         raise ValueError(f"not an RGB uint8 image: {img.dtype} of shape {img.shape}")
-    code = _CONVERSIONS[conv]
-    return img.copy() if code is None else cv2.cvtColor(img, code)
+    return img.copy() if conv == "RGB" else cv2.cvtColor(img, _CONVERSIONS[conv])
 
 
 # ------------------------------------------------------------------ features
@@ -283,6 +130,9 @@ def get_hog_features(img, orient, pix_per_cell, cell_per_block, vis=False, featu
         features = features.ravel()
     if not vis:
         return features
+    # Imported here because only pictures need it, and it takes a second.
+    from skimage.feature import hog
+
     _, picture = hog(
         img,
         orientations=orient,
@@ -331,6 +181,49 @@ def extract_features(images, params):
     return features
 
 
+def dense_features(img, params, cells_per_step):
+    """Feature vectors of all windows of an image.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        RGB, at least a window high and wide.
+    params : FeatureParams
+    cells_per_step : int
+
+    Returns
+    -------
+    features : ndarray of float32, shape (window rows, window columns, n_features)
+        In the order of `extract_features`. HOG blocks are those of the whole image: a
+        window's outermost gradients see the pixels beyond it.
+    """
+    return dense_windows.dense_features(_planes(img, params), params, cells_per_step)
+
+
+def dense_scores(img, params, cells_per_step, weights, bias):
+    """Products of the feature vectors of all windows with weights, plus a bias.
+
+    What windows share is not copied for each: a sixth of the time of `dense_features`.
+
+    Parameters
+    ----------
+    img, params, cells_per_step
+        See `dense_features`.
+    weights : ndarray of float32, shape (params.n_features,)
+    bias : float
+
+    Returns
+    -------
+    scores : ndarray of float32, shape (window rows, window columns)
+    """
+    return dense_windows.dense_scores(_planes(img, params), params, cells_per_step, weights, bias)
+
+
+def _planes(img, params):
+    """The image in every colour space that its features need."""
+    return {color: convert_color(img, color) for color in params.colors}
+
+
 def _strip_features(images, params):
     """`extract_features`, with the images one under another as a single one."""
     # The rows next to an image mirror it, so that no gradient crosses its
@@ -346,170 +239,6 @@ def _strip_features(images, params):
     return dense_features(strip, params, cells_per_step)[:, 0]
 
 
-def dense_features(img, params, cells_per_step):
-    """Feature vectors of all windows of an image, each pixel looked at once.
-
-    Parameters
-    ----------
-    img : ndarray of uint8, shape (rows, columns, 3)
-        RGB, at least a window high and wide.
-    params : FeatureParams
-    cells_per_step : int
-
-    Returns
-    -------
-    features : ndarray of float32, shape (window rows, window columns, n_features)
-        In the order of `extract_features`. HOG blocks are those of the whole
-        image: a window's outermost gradients see the pixels beyond it.
-    """
-    step = cells_per_step * params.pix_per_cell
-    rows, columns = _window_counts(img.shape, params.window_size, step)
-    features = np.empty((rows, columns, params.n_features), np.float32)
-    start = 0
-    for grid in _feature_grids(img, params, cells_per_step):
-        windows = grid.windows((rows, columns))
-        # Windows come first, whatever they are made of follows.
-        size = prod(windows.shape[2:])
-        part = features[:, :, start : start + size]
-        part.reshape(windows.shape, copy=False)[:] = windows
-        start += size
-    return features
-
-
-def dense_scores(img, params, cells_per_step, weights, bias):
-    """Products of the feature vectors of all windows with weights, plus a bias.
-
-    What windows share is not copied for each: a sixth of the search's time.
-
-    Parameters
-    ----------
-    img, params, cells_per_step
-        See `dense_features`.
-    weights : ndarray of float32, shape (params.n_features,)
-    bias : float
-
-    Returns
-    -------
-    scores : ndarray of float32, shape (window rows, window columns)
-    """
-    counts = _window_counts(img.shape, params.window_size, cells_per_step * params.pix_per_cell)
-    scores, start = np.float32(bias), 0
-    for grid in _feature_grids(img, params, cells_per_step):
-        shape = grid.extent, grid.extent, grid.cells.shape[2]
-        size = prod(shape)
-        scores = scores + grid.products(weights[start : start + size].reshape(shape), counts)
-        start += size
-    return scores
-
-
-@dataclass(frozen=True)
-class _FeatureGrid:
-    """What the windows of a band share: each is `extent` x `extent` of these cells.
-
-    Attributes
-    ----------
-    cells : ndarray, shape (rows, columns, depth)
-    extent : int
-    spacing : int
-        Between neighbouring cells of a window.
-    step : int
-        Between neighbouring windows.
-    """
-
-    cells: np.ndarray
-    extent: int
-    spacing: int
-    step: int
-
-    def windows(self, counts):
-        """View of all windows, shape (*counts, extent, extent, depth)."""
-        y, x, depth = self.cells.strides
-        strides = (y * self.step, x * self.step, y * self.spacing, x * self.spacing, depth)
-        shape = (*counts, self.extent, self.extent, self.cells.shape[2])
-        return as_strided(self.cells, shape, strides, writeable=False)
-
-    def products(self, weights, counts):
-        """Sums of the products of all windows with weights of (extent, extent, depth)."""
-        if self.spacing > 1:
-            side = (self.extent - 1) * self.spacing + 1
-            spaced = np.zeros((side, side, weights.shape[2]), np.float32)
-            spaced[:: self.spacing, :: self.spacing] = weights
-            weights = spaced
-        return correlate(self.cells, weights, self.step, counts)
-
-
-def _feature_grids(img, params, cells_per_step):
-    """Yield what the features of all windows are taken from, in the order of the features."""
-    colors = {params.spatial_color, params.hist_color, params.hog_color} - {None}
-    converted = {color: convert_color(img, color) for color in colors}
-    if params.spatial_color:
-        yield _spatial_grid(converted[params.spatial_color], params, cells_per_step)
-    if params.hist_color:
-        for channel in cv2.split(converted[params.hist_color]):
-            yield _histogram_grid(channel, params, cells_per_step)
-    if params.hog_color:
-        channels = np.atleast_3d(converted[params.hog_color])[..., _hog_channels(params)]
-        yield from _hog_grids(channels, params, cells_per_step)
-
-
-def _spatial_grid(img, params, cells_per_step):
-    """`bin_spatial` of every window.
-
-    A window shrinks by a whole factor, and so does the image: one shrunk
-    image holds the pixels of all windows that lie a multiple of the factor
-    apart, and shrunk images of shifted copies hold those between.
-    """
-    factor = params.window_size // params.spatial_size
-    step = cells_per_step * params.pix_per_cell
-    pitch = gcd(factor, step)
-    rows, columns = (side // factor for side in img.shape[:2])
-    n_shifts = factor // pitch
-    shrunk = np.empty((rows * n_shifts, columns * n_shifts, *img.shape[2:]), np.uint8)
-    for i, k in np.ndindex(n_shifts, n_shifts):
-        shifted = img[i * pitch :, k * pitch :]
-        size = shifted.shape[1] // factor, shifted.shape[0] // factor
-        if min(size) == 0:
-            continue
-        whole = shifted[: size[1] * factor, : size[0] * factor]
-        shrunk[i::n_shifts, k::n_shifts][: size[1], : size[0]] = cv2.resize(
-            whole, size, interpolation=cv2.INTER_LINEAR
-        )
-    cells = np.atleast_3d(shrunk)
-    return _FeatureGrid(cells, params.spatial_size, n_shifts, step // pitch)
-
-
-def _histogram_grid(channel, params, cells_per_step):
-    """`color_hist` of one channel of every window, summed from tiles' histograms."""
-    step = cells_per_step * params.pix_per_cell
-    tile = gcd(params.window_size, step)
-    edges = np.linspace(0, 256, params.hist_bins + 1)
-    bin_of_value = np.searchsorted(edges, np.arange(256), side="right") - 1
-    tiles = tile_histograms(channel, bin_of_value, params.hist_bins, tile)
-    total = np.pad(tiles.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0), (0, 0)))
-    extent = params.window_size // tile
-    windows = (
-        total[extent:, extent:] - total[:-extent, extent:]
-        - total[extent:, :-extent] + total[:-extent, :-extent]
-    )  # fmt: skip
-    return _FeatureGrid(np.ascontiguousarray(windows), 1, 1, step // tile)
-
-
-def _hog_channels(params):
-    """The channels that HOG looks at, as a slice."""
-    if params.hog_channel == "ALL":
-        return slice(_channel_count(params.hog_color))
-    return slice(params.hog_channel, params.hog_channel + 1)
-
-
-def _hog_grids(img, params, cells_per_step):
-    """Yield the HOG blocks of every channel."""
-    blocks = hog_blocks(img, params.orientations, params.pix_per_cell, params.cells_per_block)
-    extent = params.window_size // params.pix_per_cell - params.cells_per_block + 1
-    for channel in blocks:
-        cells = channel.reshape(*channel.shape[:2], -1)
-        yield _FeatureGrid(cells, extent, 1, cells_per_step)
-
-
 # ------------------------------------------------------------------- windows
 
 
@@ -523,14 +252,6 @@ class _Band:
     columns: int
     resized_rows: int
     resized_columns: int
-
-
-def _window_counts(shape, window_size, step):
-    """How many windows lie one under another, and side by side."""
-    rows, columns = ((side - window_size) // step + 1 for side in shape[:2])
-    if rows < 1 or columns < 1:
-        raise ValueError(f"an image of {shape[1]}x{shape[0]} is smaller than a window")
-    return rows, columns
 
 
 def _bands_on_frame(frame_shape, params, search):
@@ -556,7 +277,7 @@ def _window_grids(frame_shape, params, search):
     grids = []
     for band in _bands_on_frame(frame_shape, params, search):
         shape = (band.resized_rows, band.resized_columns)
-        rows, columns = _window_counts(shape, params.window_size, step)
+        rows, columns = dense_windows.window_counts(shape, params.window_size, step)
         top, left = np.mgrid[:rows, :columns] * step
         corners = np.stack([left, top, left + params.window_size, top + params.window_size], axis=2)
         windows = np.rint(corners * band.scale).astype(int) + (0, band.top, 0, band.top)
@@ -676,6 +397,9 @@ def find_cars(frame, classifier, search, boxes=None):
 def _score_band(frame, band, windows, classifier, search, boxes):
     """Windows of one band that are to be visited, and their scores."""
     visited = np.ones(windows.shape[:2], bool)
+    if search.x_limits is not None:
+        left, right = np.array(search.x_limits) * frame.shape[1] / search.reference_size[0]
+        visited &= (windows[..., 0] >= left) & (windows[..., 2] <= right)
     if search.horizon is not None:
         visited &= may_hold_vehicle(windows, frame.shape, search)
     if boxes is not None:
@@ -868,59 +592,9 @@ def find_blobs(heatmap):
 # ------------------------------------------------------------------- drawing
 
 
-def draw_boxes(img, boxes, color=(0, 0, 255), thickness=4):
-    """A copy of the image with boxes on it.
-
-    Parameters
-    ----------
-    img : ndarray of uint8, shape (rows, columns, 3)
-        RGB.
-    boxes : ndarray of int, shape (n, 4)
-    color : tuple of int
-        RGB.
-    thickness : int
-        In pixels.
-    """
-    img = img.copy()
-    for left, top, right, bottom in np.asarray(boxes, int).reshape(-1, 4).tolist():
-        cv2.rectangle(img, (left, top), (right - 1, bottom - 1), color, thickness)
-    return img
-
-
 def draw_labeled_bboxes(img, labels, color=(0, 0, 255), thickness=4):
     """A copy of the image with the bounding box of every label on it.
 
     `labels` is as large as the image, see `labeled_boxes`.
     """
     return draw_boxes(img, labeled_boxes(labels), color, thickness)
-
-
-def identity_color(identity):
-    """A bright RGB colour for a vehicle's number, far from those of its neighbours."""
-    # Steps of the golden ratio around the circle of hues stay far from all recent ones.
-    hue = identity * 0.6180339887 % 1
-    return tuple(round(255 * value) for value in hsv_to_rgb(hue, 0.85, 1.0))
-
-
-def draw_vehicles(img, boxes, ids, thickness=4):
-    """A copy of the image with every vehicle boxed and numbered in the colour of its identity.
-
-    Parameters
-    ----------
-    img : ndarray of uint8, shape (rows, columns, 3)
-        RGB.
-    boxes : ndarray of int, shape (n, 4)
-    ids : ndarray of int, shape (n,)
-    thickness : int
-        In pixels.
-    """
-    img = img.copy()
-    font_scale = img.shape[0] / 600
-    for (left, top, right, bottom), identity in zip(boxes.tolist(), ids.tolist(), strict=True):
-        color = identity_color(identity)
-        cv2.rectangle(img, (left, top), (right - 1, bottom - 1), color, thickness)
-        # Above the box, or inside it where that would leave the picture.
-        place = left, max(top - 2 * thickness, round(22 * font_scale))
-        font = cv2.FONT_HERSHEY_SIMPLEX
-        cv2.putText(img, str(identity), place, font, font_scale, color, 2, cv2.LINE_AA)
-    return img

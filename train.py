@@ -1,6 +1,7 @@
 """Train the classifier: two folders of images in, one parameter file out.
 
-python train.py DATA/vehicles DATA/non-vehicles --out param/svc_pickle.p
+python train.py                      data/ if it is there, else the rendered sample
+python train.py path/to/folder       with vehicles/ and non-vehicles/ in it
 """
 
 import argparse
@@ -15,42 +16,75 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC, LinearSVC
 
-from pipeline_functions import FEATURE_PRESETS, extract_features
+from pipeline_functions import extract_features
 from vehicle_detection.classifier import Classifier, save_classifier
-from vehicle_detection.media.images import find_images
-from vehicle_detection.media.training_images import read_windows
+from vehicle_detection.media.training_images import HELD_OUT, hold_out_ends, load_training_set
+from vehicle_detection.parameters import FEATURE_PRESETS
+
+DATA, SAMPLE = Path("data"), Path("output/sample")
 
 
 def parse_arguments(arguments=None):
     """Command line to a namespace; `--help` explains it."""
     parser = argparse.ArgumentParser(
         description="Train scaler and SVM on images of vehicles and of everything else.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        epilog="examples: train.py; train.py data --preset B --out output/svc_b.p",
     )
-    parser.add_argument("vehicles", type=Path, help="folder of vehicle images, any depth")
-    parser.add_argument("non_vehicles", type=Path, help="folder of other images, any depth")
     parser.add_argument(
-        "--out", type=Path, default=Path("param/svc_pickle.p"), help="parameter file to write"
+        "data", nargs="?", type=Path,
+        help="folder with vehicles/ and non-vehicles/; default: data/ if it is there, else the "
+        "rendered sample, made if it is missing",
+    )  # fmt: skip
+    parser.add_argument(
+        "--out", type=Path, default=Path("output/svc_pickle.p"), help="default: %(default)s"
     )
     parser.add_argument(
         "--preset", choices=FEATURE_PRESETS, default="G", help="features of write-up G or B"
     )
-    parser.add_argument("--C", type=float, default=0.001, help="regularisation of the SVM")
     parser.add_argument(
-        "--search",
-        action="store_true",
+        "--C", type=float, default=0.001, help="regularisation of the SVM, default: %(default)s"
+    )
+    parser.add_argument(
+        "--search", action="store_true",
         help="pick kernel (linear, rbf), C (0.001, 0.01, 0.1) and gamma (0.1, 1) by "
         "cross-validation; takes hours on the full set",
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of the shuffled 80/20 split")
-    parser.add_argument(
-        "--jobs", type=int, default=-1, help="processes of --search; -1: one a core"
-    )
+    )  # fmt: skip
+    parser.add_argument("--seed", type=int, default=0, help="of the random split, default: 0")
+    parser.add_argument("--jobs", type=int, default=-1, help="processes of --search")
     return parser.parse_args(arguments)
 
 
-def fit_linear(features, labels, C, seed):
+def find_data(folder=None):
+    """The folder of training images: the one given, `data/`, or the rendered sample.
+
+    Raises
+    ------
+    FileNotFoundError
+        The folder given has no vehicles/ in it.
+    """
+    if folder is not None:
+        return folder
+    if (DATA / "vehicles").is_dir():
+        return DATA
+    if not (SAMPLE / "vehicles").is_dir():
+        # Imported here: only machines without a training set render one.
+        from rendered_road.sample import write_training_images
+
+        print(f"no {DATA}/: rendering a sample into {SAMPLE}, some two minutes")
+        write_training_images(SAMPLE)
+    return SAMPLE
+
+
+def fit_linear(features, labels, C, seed, loss="squared_hinge"):
     """Scaler and linear SVM.
+
+    Parameters
+    ----------
+    features : ndarray of float32, shape (n, n_features)
+    labels : ndarray of int, shape (n,)
+    C : float
+    seed : int
+    loss : {"squared_hinge", "hinge"}
 
     Returns
     -------
@@ -58,7 +92,7 @@ def fit_linear(features, labels, C, seed):
     svm : LinearSVC
     """
     scaler = StandardScaler()
-    svm = LinearSVC(C=C, random_state=seed, dual=True)
+    svm = LinearSVC(C=C, loss=loss, random_state=seed, dual=True)
     svm.fit(scaler.fit_transform(features), labels)
     return scaler, svm
 
@@ -93,12 +127,19 @@ def fit_searched(features, labels, jobs, folds=5):
     return search.best_estimator_["standardscaler"], search.best_estimator_["svc"]
 
 
-def train(vehicles, non_vehicles, params, arguments):
-    """From lists of image files to a classifier; prints how good it is.
+def fit(features, labels, arguments):
+    """Scaler and SVM as the command line asks for them."""
+    if arguments.search:
+        return fit_searched(features, labels, arguments.jobs)
+    return fit_linear(features, labels, arguments.C, arguments.seed)
+
+
+def train(training_set, params, arguments):
+    """From images to a classifier; prints how good it is.
 
     Parameters
     ----------
-    vehicles, non_vehicles : list of Path
+    training_set : TrainingImages
     params : FeatureParams
     arguments : argparse.Namespace
         C, search, seed and jobs are used.
@@ -106,57 +147,55 @@ def train(vehicles, non_vehicles, params, arguments):
     Returns
     -------
     classifier : Classifier
+        Of the random split.
     """
-    start = time.perf_counter()
-    features = extract_features(read_windows(vehicles + non_vehicles, params.window_size), params)
-    labels = np.repeat([1, 0], [len(vehicles), len(non_vehicles)])
-    print(f"features: {features.shape[1]} each, {time.perf_counter() - start:.1f} s")
+    labels = training_set.labels
+    features = extract_features(training_set.images, params)
+    counts = {"vehicles": int(labels.sum()), "non-vehicles": int((labels == 0).sum())}
 
-    train_features, test_features, train_labels, test_labels = train_test_split(
-        features, labels, test_size=0.2, shuffle=True, random_state=arguments.seed
+    def fitted_without(tested):
+        """Classifier of all images but some, which it then classifies."""
+        scaler, svm = fit(features[~tested], labels[~tested], arguments)
+        classifier = Classifier(svm, scaler, params, counts)
+        report(classifier, features[tested], labels[tested])
+        return classifier
+
+    print(f"{features.shape[1]} features an image")
+    print("Tested on whole ends of every folder, of which no near copy is learned from:")
+    fitted_without(hold_out_ends(training_set.sources))
+    _, test = train_test_split(
+        np.arange(len(labels)), test_size=HELD_OUT, shuffle=True, random_state=arguments.seed
     )
-    start = time.perf_counter()
-    if arguments.search:
-        scaler, svm = fit_searched(train_features, train_labels, arguments.jobs)
-    else:
-        scaler, svm = fit_linear(train_features, train_labels, arguments.C, arguments.seed)
-    print(f"fit: {len(train_labels)} images, {time.perf_counter() - start:.1f} s")
-
-    counts = {"vehicles": len(vehicles), "non-vehicles": len(non_vehicles)}
-    classifier = Classifier(svm, scaler, params, counts)
-    report(classifier, test_features, test_labels)
-    return classifier
+    print("Tested on images at random, neighbours of which are learned from:")
+    return fitted_without(np.isin(np.arange(len(labels)), test))
 
 
 def report(classifier, features, labels):
     """Print accuracy and confusion matrix on the held-out images."""
-    start = time.perf_counter()
     predicted = classifier.decision_function(features) > 0
-    microseconds = 1e6 * (time.perf_counter() - start) / len(labels)
-    print(f"accuracy: {accuracy_score(labels, predicted):.4f} on {len(labels)} images")
+    print(f"  accuracy: {accuracy_score(labels, predicted):.4f} on {len(labels)} images")
     (true_negative, false_positive), (false_negative, true_positive) = confusion_matrix(
         labels, predicted, labels=[0, 1]
     )
     print(f"  vehicles:     {true_positive} found, {false_negative} missed")
     print(f"  non-vehicles: {true_negative} left alone, {false_positive} taken for vehicles")
-    print(f"decision: {microseconds:.1f} us an image")
 
 
 def main():
     """Run the command line."""
     arguments = parse_arguments()
+    start = time.perf_counter()
     try:
-        vehicles = find_images(arguments.vehicles)
-        non_vehicles = find_images(arguments.non_vehicles)
-        print(f"{len(vehicles)} vehicles, {len(non_vehicles)} non-vehicles")
-        params = FEATURE_PRESETS[arguments.preset]
-        # An hour's fit must not end at a folder that cannot be written to.
+        folder = find_data(arguments.data)
+        print(f"training set: {folder}")
+        # A long fit must not end at a folder that cannot be written to.
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
-        classifier = train(vehicles, non_vehicles, params, arguments)
-        save_classifier(classifier, arguments.out)
+        params = FEATURE_PRESETS[arguments.preset]
+        save_classifier(train(load_training_set(folder), params, arguments), arguments.out)
     except (OSError, ValueError) as error:
         sys.exit(f"error: {error}")
-    print(f"wrote {arguments.out}")
+    print(f"wrote {arguments.out} after {time.perf_counter() - start:.0f} s")
+    print(f"try it: python detect.py --method {arguments.preset} --param {arguments.out}")
 
 
 if __name__ == "__main__":

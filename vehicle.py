@@ -1,19 +1,21 @@
-"""The write-ups' way with a memory: heat of the last frames in, vehicles that last out."""
+"""`Vehicle`, the write-up's class: the heat of the last frames in, vehicles that last out.
+
+    VideoFileClip("drive.mp4").image_transform(Vehicle(calib, param).process_image)
+
+hot windows -> heat -> heat of the last frames -> threshold -> labels -> boxes
+"""
 
 from collections import deque
 from dataclasses import dataclass
+from pathlib import Path
 
-import cv2
 import numpy as np
 from scipy.ndimage import label
 
 from pipeline_functions import (
-    SEARCH_PRESETS,
     HeatGrid,
     add_heat,
     apply_threshold,
-    draw_boxes,
-    draw_vehicles,
     find_blobs,
     find_cars,
     keep_lasting_heat,
@@ -21,43 +23,14 @@ from pipeline_functions import (
     slide_window,
 )
 from vehicle_detection.classifier import load_classifier
-from vehicle_detection.media.viewer import Viewer
-from vehicle_detection.tracking.tracker import HEAT_TRACKS, Tracker
+from vehicle_detection.media.drawing import draw_boxes, draw_heat, draw_vehicles
+from vehicle_detection.media.viewer import Viewer, require_same_size
+from vehicle_detection.parameters import FILTER_PRESETS, HEAT_TRACKS, SEARCH_PRESETS
+from vehicle_detection.tracking.tracker import Tracker
 
+SHIPPED_CLASSIFIER = Path(__file__).parent / "param/svc_pickle.p"
 # Hot windows on one place that the pictures of heat show at their brightest.
 _HEAT_FULL_SCALE = 8
-
-
-@dataclass(frozen=True)
-class FilterParams:
-    """How the heat of the last frames becomes boxes.
-
-    Attributes
-    ----------
-    n_acc : int
-        Heatmaps that are kept.
-    n_occ_thr : int
-        Heat that is one object in space and time must be seen in this many
-        frames; at 1 nothing is dropped.
-    threshold : float
-        The sum of the kept heatmaps must be above it.
-    """
-
-    n_acc: int
-    n_occ_thr: int
-    threshold: float
-
-    def __post_init__(self):
-        if not 1 <= self.n_occ_thr <= self.n_acc:
-            raise ValueError(f"n_occ_thr {self.n_occ_thr} lies outside 1..{self.n_acc}")
-
-
-FILTER_PRESETS = {
-    "G": FilterParams(n_acc=15, n_occ_thr=4, threshold=12),
-    "B": FilterParams(n_acc=10, n_occ_thr=1, threshold=25),
-    # A still has no other frame to agree with: two windows have to.
-    "still": FilterParams(n_acc=1, n_occ_thr=1, threshold=1),
-}
 
 
 @dataclass(frozen=True)
@@ -88,49 +61,60 @@ class HeatDetections:
     ids: np.ndarray
 
 
-class HeatVehicle(Viewer):
-    """Finds vehicles as write-ups G and B do: windows, heat, what lasts.
+class Vehicle(Viewer):
+    """Finds vehicles in the frames of one video, handed over in order, as write-up G does.
+
+    The search runs on the frame as the camera gave it; a calibration straightens the
+    picture that is drawn.
 
     Parameters
     ----------
     path_calib : path or None
-        See `Viewer`.
-    path_param : path
-        Classifier of `train.py`.
+        Calibration file; None draws on the frame as it is.
+    path_param : path or object
+        File of `train.py`; or a classifier with `params`, a FeatureParams, and
+        `decision_function`, see `pipeline_functions.find_cars`.
     search : SearchParams
     heat_filter : FilterParams
-    track_params : TrackParams
-        How boxes of one frame find their vehicles in the next.
+        Its values are the attributes `n_acc`, `n_occ_thr` and `threshold`.
+
+    Attributes
+    ----------
+    n_acc, n_occ_thr : int
+    threshold : float
+        See `FilterParams`.
     """
 
-    titles = ("hot windows", "heat of this frame", "heat that lasts", "vehicles")
+    titles = ("hot windows", "heat", "filtered heat", "boxes")
 
     def __init__(
         self,
         path_calib=None,
-        path_param="param/svc_pickle.p",
+        path_param=SHIPPED_CLASSIFIER,
         search=SEARCH_PRESETS["G"],
         heat_filter=FILTER_PRESETS["G"],
-        track_params=HEAT_TRACKS,
     ):
         super().__init__(path_calib)
         self.search = search
-        self.heat_filter = heat_filter
-        self.track_params = track_params
+        self.n_acc = heat_filter.n_acc
+        self.n_occ_thr = heat_filter.n_occ_thr
+        self.threshold = heat_filter.threshold
         self.load_param_detect(path_param)
 
     def load_param_detect(self, path):
-        """Read a classifier, see `classifier.load_classifier`; forgets all frames."""
-        self.classifier = load_classifier(path)
+        """Take a classifier, or the path of one; forgets all frames."""
+        has_scores = hasattr(path, "decision_function")
+        self.classifier = path if has_scores else load_classifier(path)
         self.reset()
 
     def reset(self):
         """Forget all frames: the next one begins another video."""
-        super().reset()
-        self._tracker = Tracker(self.track_params)
+        self._frame_shape = None
+        self._n_frames = 0
+        self._tracker = Tracker(HEAT_TRACKS)
         self._grid = None
         self._warmth = None
-        self._heatmaps = deque(maxlen=self.heat_filter.n_acc)
+        self._heatmaps = deque(maxlen=self.n_acc)
 
     def detect(self, rgb_frame):
         """Search the next frame of the video.
@@ -138,6 +122,7 @@ class HeatVehicle(Viewer):
         Parameters
         ----------
         rgb_frame : ndarray of uint8, shape (rows, columns, 3)
+            RGB.
 
         Returns
         -------
@@ -146,9 +131,10 @@ class HeatVehicle(Viewer):
         Raises
         ------
         ValueError
-            The frame is of another size than the one before.
+            The frame is of another size than the one before, or too small for any window.
         """
-        self._require_same_size(rgb_frame)
+        require_same_size(rgb_frame, self._frame_shape)
+        self._frame_shape = rgb_frame.shape
         if self._grid is None:
             windows = slide_window(rgb_frame.shape, self.classifier.params, self.search)
             self._grid = HeatGrid.of_windows(windows)
@@ -181,8 +167,8 @@ class HeatVehicle(Viewer):
         """
         heatmap = add_heat(self._grid.zeros(), self._grid.to_cells(hot_windows))
         self._heatmaps.append(heatmap)
-        lasting = keep_lasting_heat(np.array(self._heatmaps), self.heat_filter.n_occ_thr)
-        filtered = apply_threshold(lasting, self.heat_filter.threshold)
+        lasting = keep_lasting_heat(np.array(self._heatmaps), self.n_occ_thr)
+        filtered = apply_threshold(lasting, self.threshold)
         cells, scores = find_blobs(filtered)
         self._warmth = heatmap + filtered
         boxes = self._grid.to_pixels(cells)
@@ -206,23 +192,7 @@ class HeatVehicle(Viewer):
         pictures = [
             draw_boxes(rgb_frame, detections.hot_windows, thickness=2),
             draw_heat(rgb_frame, heat, _HEAT_FULL_SCALE),
-            draw_heat(rgb_frame, lasting, _HEAT_FULL_SCALE * self.heat_filter.n_acc),
+            draw_heat(rgb_frame, lasting, _HEAT_FULL_SCALE * self.n_acc),
             draw_vehicles(rgb_frame, detections.boxes, detections.ids),
         ]
         return [self.undistort(picture) for picture in pictures]
-
-
-def draw_heat(img, heatmap, full_scale):
-    """The image darkened, with heat glowing on it.
-
-    Parameters
-    ----------
-    img : ndarray of uint8, shape (rows, columns, 3)
-        RGB.
-    heatmap : ndarray, shape (rows, columns)
-    full_scale : float
-        Heat that is drawn at its brightest.
-    """
-    level = np.clip(255 * heatmap / full_scale, 0, 255).astype(np.uint8)
-    glow = cv2.applyColorMap(level, cv2.COLORMAP_HOT)[..., ::-1]
-    return cv2.addWeighted(img, 0.4, glow, 0.9, 0)

@@ -1,14 +1,13 @@
 """How long everything takes, and against what.
 
-    python benchmark.py [--video V] [--data FOLDER] [--json]
+    python -m experiments.benchmark [--video V] [--data FOLDER] [--json]
 
 Machines are noisy: whatever is compared runs alternately, and medians are
 printed. The reference is the published way, window by window on scikit-image,
-in `tests/reference.py`.
+in `experiments/reference.py`.
 """
 
 import argparse
-import contextlib
 import json
 import subprocess
 import sys
@@ -17,7 +16,6 @@ import time
 from dataclasses import replace
 from itertools import cycle, islice
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import matplotlib.pyplot as plt
@@ -26,28 +24,35 @@ from moviepy import VideoFileClip
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 
-from detect import annotate_video
+from experiments import reference
 from pipeline_functions import (
-    FEATURE_PRESETS,
-    SEARCH_PRESETS,
-    SearchParams,
     convert_color,
     dense_features,
     dense_scores,
+    extract_features,
     find_cars,
     slide_window,
 )
-from train import train
-from vehicle import HeatVehicle
+from train import fit_linear
+from vehicle import Vehicle
 from vehicle_detection.classifier import load_classifier
 from vehicle_detection.compiled.hog import hog_blocks
-from vehicle_detection.media.images import find_images, read_image, written_whole
+from vehicle_detection.media.annotate import annotate_video
+from vehicle_detection.media.files import written_whole
+from vehicle_detection.media.images import find_images, read_image
+from vehicle_detection.media.training_images import load_training_set
 from vehicle_detection.media.videos import VideoInfo, read_frames, video_info, video_writer
-from vehicle_detection.two_stage.detector import keep_wholes, level_groups, look_closer, propose
-from vehicle_detection.two_stage.vehicle import Vehicle
-
-sys.path.insert(0, str(Path(__file__).parent / "tests"))
-from experiments import reference
+from vehicle_detection.parameters import (
+    FEATURE_PRESETS,
+    FILTER_PRESETS,
+    SEARCH_PRESETS,
+    SearchParams,
+)
+from vehicle_detection.two_stage.proposals import level_groups, propose
+from vehicle_detection.two_stage.refinement import merge, refine
+from vehicle_detection.two_stage.road import prior_road, reach
+from vehicle_detection.two_stage.selection import non_max_suppression
+from vehicle_detection.two_stage.vehicle import TwoStageVehicle
 
 FRAME_SIZES = ((640, 360), (1280, 720), (1920, 1080))
 
@@ -94,7 +99,7 @@ def resized_bands(frame, search):
 
 def stages(frames, paths):
     """Milliseconds a frame of every stage, one after the other."""
-    vehicle = HeatVehicle(*paths[:2])
+    vehicle = Vehicle(*paths[:2])
     classifier, search = vehicle.classifier, vehicle.search
     params, frame = classifier.params, frames[0]
     bands = list(resized_bands(frame, search))
@@ -121,29 +126,32 @@ def stages(frames, paths):
 
 
 def stages_of_two(frames, paths):
-    """Milliseconds a frame of every stage of the two-stage detector."""
-    vehicle = Vehicle(None, paths[2])
+    """Milliseconds a frame of every stage of the two-stage detector, the road not yet known."""
+    vehicle = TwoStageVehicle(None, paths[2])
     for frame in frames[-20:]:
         detections = vehicle.detect(frame)
-    scan, learned = vehicle.scan, vehicle.detector
-    groups = cycle(level_groups(frame.shape[:2], scan))
-    candidates, scores = detections.candidates, detections.candidate_scores
+    scan, learned, params = vehicle.scan, vehicle.detector, vehicle.road_params
+    where = reach(prior_road(len(frame), params), len(frame), params)
+    groups = cycle(level_groups(frame.shape[:2], scan, where))
+    proposed = merge(np.empty((0, 4)), detections.proposals, vehicle.selection.same_iou)
+    boxes, scores = detections.candidates, detections.candidate_scores
+    discard_below = vehicle.selection.discard_below
     calls = {
         "first stage": lambda: propose(frame, next(groups), learned.templates, scan),
-        "closer look": lambda: look_closer(frame, detections.proposals, learned),
-        "rivals": lambda: keep_wholes(candidates, scores),
+        "refinement": lambda: refine(frame, proposed, learned, discard_below),
+        "suppression": lambda: non_max_suppression(boxes, scores, vehicle.selection),
     }
     return {name: milliseconds(call, 40) for name, call in calls.items()}
 
 
 def detector(frames, paths):
     """Whole detector against the published way of doing all of it, milliseconds a frame."""
-    vehicle = HeatVehicle(None, paths[1])
-    slow = reference.Detector(vehicle.classifier, vehicle.search, vehicle.heat_filter)
+    vehicle = Vehicle(None, paths[1])
+    slow = reference.Detector(vehicle.classifier, vehicle.search, FILTER_PRESETS["G"])
     for frame in frames[:15]:
         hot = vehicle.detect(frame).hot_windows
         slow.heatmaps.append(reference.heatmap_of(hot, frame.shape))
-    two_stages = Vehicle(None, paths[2])
+    two_stages = TwoStageVehicle(None, paths[2])
     upcoming = cycle(frames)
     times = alternately(
         {
@@ -166,9 +174,9 @@ def detector(frames, paths):
 
 def video_job(clip, paths, folder, preset="ultrafast"):
     """Annotating a video against copying it with moviepy, milliseconds a frame."""
-    vehicle = HeatVehicle(None, paths[1])
-    sparing = HeatVehicle(None, paths[1], replace(SEARCH_PRESETS["G"], scan_every=3))
-    two_stages = Vehicle(None, paths[2])
+    vehicle = Vehicle(None, paths[1])
+    sparing = Vehicle(None, paths[1], replace(SEARCH_PRESETS["G"], scan_every=3))
+    two_stages = TwoStageVehicle(None, paths[2])
     times = alternately(
         {
             "video job": lambda: annotate_video(clip, folder / "job", vehicle, preset=preset),
@@ -198,12 +206,6 @@ def copy_video(source, target, preset):
         clip.write_videofile(str(target), preset=preset, audio=False, logger=None)
 
 
-def quietly(function, *arguments):
-    """Call a function; what it prints goes where progress bars go."""
-    with contextlib.redirect_stdout(sys.stderr):
-        return function(*arguments)
-
-
 def reference_training(vehicles, others, params):
     """Train as published: one image after the other, scikit-image, one core."""
     features = []
@@ -215,14 +217,20 @@ def reference_training(vehicles, others, params):
     LinearSVC(C=0.001).fit(scaled, labels)
 
 
+def fast_training(data, params):
+    """Read, describe and fit all images."""
+    training_set = load_training_set(data)
+    features = extract_features(training_set.images, params)
+    fit_linear(features, training_set.labels, C=0.001, seed=0)
+
+
 def training(data):
     """Seconds from images to classifier, against the reference, preset G."""
-    vehicles, others = find_images(data / "vehicles"), find_images(data / "non-vehicles")
     params = FEATURE_PRESETS["G"]
-    arguments = SimpleNamespace(jobs=-1, search=False, C=0.001, seed=0)
+    vehicles, others = find_images(data / "vehicles"), find_images(data / "non-vehicles")
     times = alternately(
         {
-            "training": lambda: quietly(train, vehicles, others, params, arguments),
+            "training": lambda: fast_training(data, params),
             "reference": lambda: reference_training(vehicles, others, params),
         },
         rounds=3,
@@ -234,9 +242,8 @@ def training(data):
 _PEAK = """
 import re, sys
 from pathlib import Path
-from detect import annotate_video
-from heat_vehicle import HeatVehicle
-annotate_video(Path(sys.argv[1]), Path(sys.argv[2]), HeatVehicle(None, sys.argv[3]))
+from heat_vehicle import Vehicle
+annotate_video(Path(sys.argv[1]), Path(sys.argv[2]), Vehicle(None, sys.argv[3]))
 # Not getrusage: its peak includes that of the process this one was forked from.
 print(int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1]) / 1024)
 """
@@ -249,7 +256,7 @@ def peak_memory(frames, info, paths, folder, lengths):
         clip = write_clip(folder / f"{length}.mp4", frames, info, length)
         result = subprocess.run(
             [sys.executable, "-c", _PEAK, clip, folder / "job", paths[1]],
-            cwd=Path(__file__).parent, capture_output=True, text=True, check=True,
+            cwd=Path(__file__).parents[1], capture_output=True, text=True, check=True,
         )  # fmt: skip
         peaks[f"{length} frames"] = float(result.stdout)
     return peaks
@@ -282,7 +289,7 @@ def growth(frames, paths):
         by_windows[n_windows] = milliseconds(
             lambda s=other: find_cars(frames[0], classifier, s), 15
         )
-    vehicle = HeatVehicle(None, paths[1])
+    vehicle = Vehicle(None, paths[1])
     for count in (10, 30, 100):
         vehicle.reset()
         by_frames[count] = _once(

@@ -1,8 +1,8 @@
 """Train and judge a table of configurations, and show what their accuracy hides.
 
-    python experiments.py run FOLDER --video V --truth T
-    python experiments.py report
-    python experiments.py grid FOLDER --id 19
+    python -m experiments.table run FOLDER --video V --truth T
+    python -m experiments.table report
+    python -m experiments.table grid FOLDER --id 19
 
 `run` takes the configurations of a small CSV file one after the other, as many
 at a time as there are cores or workers, and resumes where it was stopped.
@@ -13,11 +13,8 @@ import contextlib
 import csv
 import hashlib
 import io
-import re
 import sys
-import tempfile
 import time
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
@@ -27,98 +24,34 @@ from joblib import Parallel, delayed, parallel_config
 from scipy.stats import spearmanr
 from sklearn.metrics import roc_auc_score
 from sklearn.model_selection import GroupKFold, train_test_split
-from tqdm import tqdm
+from tqdm.auto import tqdm
 
-from pipeline_functions import SEARCH_PRESETS, FeatureParams, SearchParams, extract_features
+from pipeline_functions import extract_features
 from train import fit_linear, fit_searched
-from vehicle import HeatVehicle
-from vehicle_detection.classifier import Classifier, save_classifier
-from vehicle_detection.evaluation.metrics import evaluate, read_rows, rows_of
-from vehicle_detection.media.images import find_images, write_whole, written_whole
-from vehicle_detection.media.training_images import read_windows
+from vehicle import Vehicle
+from vehicle_detection.classifier import Classifier
+from vehicle_detection.evaluation.metrics import evaluate
+from vehicle_detection.media.files import write_whole, written_whole
+from vehicle_detection.media.mot import read_rows, rows_of
+from vehicle_detection.media.training_images import (
+    HELD_OUT,
+    hold_out_ends,
+    load_training_set,
+    runs_of,
+)
 from vehicle_detection.media.videos import read_frames
+from vehicle_detection.parameters import SEARCH_PRESETS, FeatureParams, SearchParams
 
+RESULTS = Path(__file__).parent / "results"
 SEEDS = (0, 1, 2)
-_HELD_OUT = 0.2
 # G's windows lie 16 pixels apart at scale 1, whatever the size of a cell.
 _PIXELS_PER_STEP = 16
-# Long enough that neighbours which show the same car mostly share one.
-_RUN_LENGTH = 100
 _COLUMNS = (
     "id",
     "settings",
     "features", "accuracy", "accuracy_spread", "honest_accuracy", "honest_auc",
     "fit_seconds", "recall", "precision", "false_positives_per_frame",
 )  # fmt: skip
-
-
-# -------------------------------------------------------------------- the set
-
-
-@dataclass(frozen=True)
-class Dataset:
-    """All images of a training set, in the order in which they were taken.
-
-    Attributes
-    ----------
-    images : ndarray of uint8, shape (n, 64, 64, 3)
-        RGB.
-    labels : ndarray of int, shape (n,)
-        1 for vehicles.
-    sources : ndarray of int, shape (n,)
-        Which folder each is from: each folder was cut from videos of its own.
-    """
-
-    images: np.ndarray
-    labels: np.ndarray
-    sources: np.ndarray
-
-
-def numbers_in(path):
-    """Folder and number of an image file: sorting by it gives the order of taking."""
-    digits = re.findall(r"\d+", path.stem)
-    return path.parent, int(digits[-1]) if digits else 0
-
-
-def load_dataset(folder):
-    """Read folder/vehicles and folder/non-vehicles."""
-    paths, labels = [], []
-    for label, name in ((1, "vehicles"), (0, "non-vehicles")):
-        found = sorted(find_images(folder / name), key=numbers_in)
-        paths += found
-        labels += [label] * len(found)
-    folders = [str(path.parent) for path in paths]
-    _, sources = np.unique(folders, return_inverse=True)
-    return Dataset(read_windows(paths, 64), np.array(labels), sources)
-
-
-def honest_split(sources):
-    """Hold out the last images of every source, a whole run of the video.
-
-    Neighbours show the same car, so a random split tests on near copies.
-
-    Parameters
-    ----------
-    sources : ndarray of int, shape (n,)
-
-    Returns
-    -------
-    held_out : ndarray of bool, shape (n,)
-    """
-    held_out = np.zeros(len(sources), bool)
-    for source in np.unique(sources):
-        own = np.flatnonzero(sources == source)
-        held_out[own[round(len(own) * (1 - _HELD_OUT)) :]] = True
-    return held_out
-
-
-def runs(sources):
-    """Number of the run of neighbours each image belongs to, ndarray of int, shape (n,)."""
-    position = np.zeros(len(sources), int)
-    for source in np.unique(sources):
-        own = sources == source
-        position[own] = np.arange(own.sum()) // _RUN_LENGTH
-    return np.unique(np.stack([sources, position]), axis=1, return_inverse=True)[1]
 
 
 # --------------------------------------------------------- one configuration
@@ -148,7 +81,7 @@ def run_configuration(configuration, dataset, video, truth, frames):
     Parameters
     ----------
     configuration : dict
-    dataset : Dataset
+    dataset : TrainingImages
     video, truth : Path or None
         Without them the figures of the detector stay empty.
     frames : int
@@ -164,7 +97,7 @@ def run_configuration(configuration, dataset, video, truth, frames):
     indices = np.arange(len(features))
     accuracies, classifiers, seconds = [], [], []
     for seed in SEEDS:
-        chosen, test = train_test_split(indices, test_size=_HELD_OUT, random_state=seed)
+        chosen, test = train_test_split(indices, test_size=HELD_OUT, random_state=seed)
         start = time.perf_counter()
         classifier = fitted(features[chosen], dataset.labels[chosen], params, C, seed)
         seconds.append(time.perf_counter() - start)
@@ -172,12 +105,12 @@ def run_configuration(configuration, dataset, video, truth, frames):
         accuracies.append(np.mean(predicted == dataset.labels[test]))
         classifiers.append(classifier)
 
-    held_out = honest_split(dataset.sources)
+    held_out = hold_out_ends(dataset.sources)
     honest = fitted(features[~held_out], dataset.labels[~held_out], params, C, SEEDS[0])
     scores = honest.decision_function(features[held_out])
     row = {
         "id": configuration["id"],
-        "settings": settings(configuration, dataset, video, frames),
+        "settings": configuration_hash(configuration, dataset, video, frames),
         "features": params.n_features,
         "accuracy": f"{np.mean(accuracies):.4f}",
         "accuracy_spread": f"{np.ptp(accuracies):.4f}",
@@ -190,7 +123,7 @@ def run_configuration(configuration, dataset, video, truth, frames):
     return row
 
 
-def settings(configuration, dataset, video, frames):
+def configuration_hash(configuration, dataset, video, frames):
     """Short text that changes with whatever the figures depend on."""
     numbers = *configuration.values(), SEEDS, len(dataset.labels), dataset.labels.sum()
     judged = (Path(video).name, frames) if video else ()
@@ -208,9 +141,7 @@ def judge_detector(classifier, video, truth, frames):
     """Precision, recall and false positives on the first frames of a video, with G's filter."""
     cells_per_step = max(1, _PIXELS_PER_STEP // classifier.params.pix_per_cell)
     search = SearchParams(SEARCH_PRESETS["G"].bands, cells_per_step)
-    with tempfile.TemporaryDirectory() as folder:
-        save_classifier(classifier, Path(folder) / "svc.p")
-        vehicle = HeatVehicle(None, Path(folder) / "svc.p", search)
+    vehicle = Vehicle(None, classifier, search)
     boxes = [vehicle.detect(frame).boxes for frame in islice(read_frames(video), frames)]
     figures = evaluate(read_rows(truth), rows_of(boxes), range(1, frames + 1))
     return {
@@ -355,7 +286,7 @@ def search_grid(configuration, dataset, jobs, count):
     Parameters
     ----------
     configuration : dict
-    dataset : Dataset
+    dataset : TrainingImages
     jobs : int
     count : int
         Images to take, evenly spread: an SVM with a kernel takes the square
@@ -364,7 +295,7 @@ def search_grid(configuration, dataset, jobs, count):
     chosen = np.linspace(0, len(dataset.labels) - 1, min(count, len(dataset.labels))).astype(int)
     params = feature_params(configuration)
     features = extract_features(dataset.images[chosen], params)
-    folds = GroupKFold(5).split(features, groups=runs(dataset.sources)[chosen])
+    folds = GroupKFold(5).split(features, groups=runs_of(dataset.sources)[chosen])
     fit_searched(features, dataset.labels[chosen], jobs, list(folds))
 
 
@@ -376,11 +307,9 @@ def parse_arguments(arguments=None):
     grid = commands.add_parser("grid", help="grid search over kernel, C and gamma")
     report = commands.add_parser("report", help="write the table and the figure")
     for command in (run, grid, report):
-        command.add_argument(
-            "--configurations", type=Path, default=Path("results/configurations.csv")
-        )
+        command.add_argument("--configurations", type=Path, default=RESULTS / "configurations.csv")
     for command in (run, report):
-        command.add_argument("--results", type=Path, default=Path("results/experiments.csv"))
+        command.add_argument("--results", type=Path, default=RESULTS / "experiments.csv")
     for command in (run, grid):
         command.add_argument("data", type=Path, help="folder with vehicles/ and non-vehicles/")
         command.add_argument("--jobs", type=int, default=-1, help="processes; -1: one a core")
@@ -411,7 +340,7 @@ def main():
 def _run(arguments, configurations):
     if (arguments.video is None) != (arguments.truth is None):
         raise ValueError("--video and --truth belong together")
-    dataset = load_dataset(arguments.data)
+    dataset = load_training_set(arguments.data)
     rest = dataset, arguments.video, arguments.truth, arguments.frames
     with workers(arguments.scheduler, arguments.jobs, [dataset]):
         run_all(
@@ -419,7 +348,7 @@ def _run(arguments, configurations):
             arguments.results,
             run_configuration,
             rest,
-            lambda c: settings(c, dataset, arguments.video, arguments.frames),
+            lambda c: configuration_hash(c, dataset, arguments.video, arguments.frames),
         )
 
 
@@ -427,7 +356,7 @@ def _grid(arguments, configurations):
     by_id = {c["id"]: c for c in configurations}
     if arguments.id not in by_id:
         raise ValueError(f"{arguments.configurations}: no configuration {arguments.id}")
-    dataset = load_dataset(arguments.data)
+    dataset = load_training_set(arguments.data)
     search_grid(by_id[arguments.id], dataset, arguments.jobs, arguments.images)
 
 

@@ -15,11 +15,8 @@ import numpy as np
 from numba import njit
 
 LANE_WIDTH = 3.7
-_CAMERA_HEIGHT = 1.35
 _FAR = 420.0
 _HAZE = np.float32((0.7, 0.76, 0.82))
-# How far the horizon lies below the optical centre, in pixels.
-_HORIZON_BELOW_CENTER = (0, 32)
 # Up to here the lens's distortion keeps the order of points.
 _WIDEST_TANGENT = 1.1
 
@@ -28,13 +25,31 @@ _WIDEST_TANGENT = 1.1
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera with barrel distortion, as `calibrate.py` is to find it again."""
+    """A camera with barrel distortion, as a calibration is to find it again.
+
+    Attributes
+    ----------
+    width, height : int
+        Of the frame, in pixels.
+    focal : float
+        Focal length, in pixels.
+    center : (float, float)
+        Principal point, in pixels.
+    dist : tuple of float
+        Distortion k1, k2, p1, p2, k3.
+    mount_height : float
+        Above the road, in metres.
+    horizon_below : float
+        How far the horizon lies below the principal point, in pixels: the pitch.
+    """
 
     width: int = 1280
     height: int = 720
     focal: float = 1150.0
     center: tuple = (648.0, 378.0)
     dist: tuple = (-0.24, 0.02, 0.0, 0.0, -0.01)
+    mount_height: float = 1.35
+    horizon_below: float = 32.0
 
     @property
     def mtx(self):
@@ -56,7 +71,7 @@ class Camera:
         return pixels[:, 0]
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=8)
 def _lens(camera):
     """Size and origin of the ideal picture behind a frame, and the maps between them."""
     x, y = np.meshgrid(
@@ -195,6 +210,18 @@ BODIES = {
         ((0, 0.40), (0.004, 0.52), (0.008, 0.56), (0.014, 0.90), (0.03, 0.985), (0.12, 1.0),
          (0.70, 0.99), (0.86, 0.62), (0.95, 0.55), (0.985, 0.45), (1, 0.30)),
         0.55, (0.62, 0.84), (0.82, 0.34, 0.56), 0.32,
+    ),
+    "pickup": Body(
+        5.4, 1.95, 1.80,
+        ((0, 0.50), (0.006, 0.62), (0.01, 0.66), (0.36, 0.67), (0.40, 0.93), (0.46, 1.0),
+         (0.62, 0.98), (0.74, 0.70), (0.93, 0.64), (0.985, 0.55), (1, 0.40)),
+        0.64, (0.40, 0.72), (0.80, 0.40, 0.60), 0.36,
+    ),
+    "bus": Body(
+        11.0, 2.5, 3.0,
+        ((0, 0.40), (0.002, 0.50), (0.004, 0.54), (0.010, 0.92), (0.02, 0.985), (0.08, 1.0),
+         (0.92, 1.0), (0.98, 0.97), (0.99, 0.55), (0.995, 0.45), (1, 0.25)),
+        0.50, (0.04, 0.97), (0.84, 0.25, 0.36), 0.25,
     ),
     "truck": Body(
         11.5, 2.5, 3.7,
@@ -358,6 +385,8 @@ class Actor:
         In seconds.
     oncoming : bool
         On the other carriageway, seen from its front.
+    yaw : float
+        Heading against that of the camera, in radians: crossing, turning, parked.
     size : float
         Of the kind's own, about 1.
     style : int
@@ -373,6 +402,7 @@ class Actor:
     lane_change: float = 0.0
     change_time: float = 0.0
     oncoming: bool = False
+    yaw: float = 0.0
     size: float = 1.0
     style: int = 0
 
@@ -381,6 +411,11 @@ class Actor:
         share = np.clip((time - self.change_time) / 4.0, 0, 1)
         smooth = share * share * (3 - 2 * share)
         return self.distance + self.speed * time, self.lane + self.lane_change * smooth
+
+    def middle(self, time):
+        """Distance of its middle at a time in seconds: what is nearer is drawn later."""
+        angle = self.yaw + (np.pi if self.oncoming else 0.0)
+        return self.place(time)[0] + np.cos(angle) * self.size * BODIES[self.kind].length / 2
 
 
 # ---------------------------------------------------------------------- road
@@ -412,6 +447,8 @@ class World:
         RGB of the verge.
     left_wall : bool
         A concrete wall in the middle, else a guardrail.
+    is_town : bool
+        Facades along the road instead of guardrails.
     actors : tuple of Actor
     camera : Camera
     """
@@ -429,6 +466,7 @@ class World:
     pavement: tuple
     grass: tuple
     left_wall: bool
+    is_town: bool = False
     actors: tuple = ()
     camera: Camera = field(default_factory=Camera)
 
@@ -511,13 +549,13 @@ class View:
         shake = rng.normal(size=2) * 0.35 + (0, 1.2 * np.sin(7 * time) + 0.8 * np.sin(11.3 * time))
         lateral = (world.own_lane + 0.5 - world.n_lanes / 2) * LANE_WIDTH
         lateral += 0.25 * np.sin(0.3 * time)
-        center = np.array(world.camera.center) - origin + shake + _HORIZON_BELOW_CENTER
+        center = np.array(world.camera.center) - origin + shake + (0, world.camera.horizon_below)
         return cls(world, world.speed * time, size, center, lateral, shake)
 
     def camera_points(self, x, y, z):
         """Road coordinates to camera coordinates, y down, shape (n, 3)."""
         x = x + _path(self.world.bend, self.s0, z) - self.lateral
-        y = _CAMERA_HEIGHT - y - _path(self.world.crest, self.s0, z)
+        y = self.world.camera.mount_height - y - _path(self.world.crest, self.s0, z)
         return np.stack(np.broadcast_arrays(x, y, z), axis=-1)
 
     def pixels(self, x, y, z):
@@ -528,7 +566,8 @@ class View:
     def distorted(self, x, y, z):
         """Road coordinates to pixels of the frame as the camera gives it."""
         points = self.camera_points(x, y, z)
-        down = (self.shake + _HORIZON_BELOW_CENTER) / self.world.camera.focal
+        camera = self.world.camera
+        down = (self.shake + (0, camera.horizon_below)) / camera.focal
         points[..., :2] += points[..., 2:] * down
         return self.world.camera.project(points)
 
@@ -724,6 +763,63 @@ def _roadside_things(view):
     return things
 
 
+@lru_cache(maxsize=2)
+def _facade_sprites(seed, count=4, size=256):
+    """Walls with rows of windows and a ground floor of shops, RGBA."""
+    rng = np.random.default_rng([seed, 7])
+    sprites = []
+    for _ in range(count):
+        wall = np.array((0.45, 0.42, 0.4)) + rng.uniform(-0.2, 0.25) + rng.normal(0, 0.05, 3)
+        sprite = np.empty((size, size, 4), np.float32)
+        sprite[..., :3] = wall + rng.normal(0, 0.02, (size, size, 1))
+        sprite[..., 3] = 1
+        floors, columns = rng.integers(2, 6), rng.integers(3, 9)
+        height, width = size / (floors + 1), size / columns
+        for floor in range(floors + 1):
+            for column in range(columns):
+                top, left = (floor + 0.25) * height, (column + 0.2) * width
+                glass = rng.uniform(0.05, 0.35) + np.array((0.0, 0.02, 0.05))
+                share = 0.75 if floor == floors else 0.5
+                bottom, right = int(top + share * height), int(left + 0.6 * width)
+                cv2.rectangle(sprite, (int(left), int(top)), (right, bottom), (*wall * 1.3, 1), 3)
+                sprite[int(top) : bottom, int(left) : right, :3] = glass
+        sprites.append(np.clip(sprite, 0, 1))
+    return sprites
+
+
+def _facades(view):
+    """Houses on both sides as (distance, drawing function, its arguments)."""
+    world, things = view.world, []
+    for side in (-1, 1):
+        rng, z = np.random.default_rng([world.seed, 8, side + 1]), 4.0
+        x = side * (world.n_lanes * LANE_WIDTH / 2 + rng.uniform(5, 10))
+        while z < 160:
+            length, height = rng.uniform(8, 25), rng.uniform(5, 20)
+            things.append((z + length, _draw_facade, (x, z, length, height, rng.integers(4))))
+            z += length + rng.choice([0.2, 6.0])
+    return things
+
+
+def _draw_facade(view, picture, x, z, length, height, sprite):
+    """A wall along the road, in perspective."""
+    wall = _facade_sprites(view.world.seed)[sprite]
+    corners = view.pixels(
+        np.full(4, x), np.array([height, height, 0, 0]), np.array([z, z + length, z + length, z])
+    ).astype(np.float32)
+    left, top = np.maximum(np.floor(corners.min(axis=0)), 0).astype(int)
+    right, bottom = np.minimum(np.ceil(corners.max(axis=0)), view.size).astype(int)
+    if right <= left or bottom <= top:
+        return
+    side = float(wall.shape[0])
+    source = np.float32([(0, 0), (side, 0), (side, side), (0, side)])
+    matrix = cv2.getPerspectiveTransform(source, corners - np.float32([left, top]))
+    placed = cv2.warpPerspective(wall, matrix, (int(right - left), int(bottom - top)))
+    region = picture[top:bottom, left:right]
+    haze = view.world.haze * z / 700
+    color = placed[..., :3] + haze * (_HAZE - placed[..., :3])
+    picture[top:bottom, left:right] = region + placed[..., 3:] * (color - region)
+
+
 def _draw_tree(view, picture, x, z, height, sprite):
     (column, row), (_, top) = view.pixels(
         np.array([x, x]), np.array([-0.3, height]), np.array([z, z])
@@ -884,7 +980,7 @@ def _actor_mesh(view, actor, time):
     x = (lane + 0.5 - view.world.n_lanes / 2) * LANE_WIDTH
     slope = _wave(view.world.bend, view.s0 + distance)[1] - _wave(view.world.bend, view.s0)[1]
     drift = LANE_WIDTH * (actor.place(time + 0.05)[1] - lane) / 0.05 / view.world.speed
-    angle = np.arctan(drift) + (np.pi if actor.oncoming else 0.0)
+    angle = np.arctan(drift) + actor.yaw + (np.pi if actor.oncoming else 0.0)
     cos, sin = np.cos(angle), np.sin(angle)
     turn = np.array([[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]])
     placed = (corners * actor.size) @ turn + (x, 0, distance)
@@ -950,7 +1046,11 @@ def _actor_sprite(view, actor, mesh, pixels, place):
     hit = material >= 0
     sprite = np.zeros((*shape, 4), np.float32)
     if hit.any():
-        middle = placed.reshape(-1, 3).mean(axis=0) - (view.lateral, _CAMERA_HEIGHT, 0)
+        middle = placed.reshape(-1, 3).mean(axis=0) - (
+            view.lateral,
+            view.world.camera.mount_height,
+            0,
+        )
         middle = middle.astype(np.float32)
         sprite[hit, :3] = _shade(view.world, actor, material[hit], surface[hit], middle)
         sprite[hit, 3] = 1
@@ -1078,7 +1178,9 @@ def _draw_contact_shadow(view, picture, actor, time):
     half, sun = 0.5 * body.width, view.world.sun
     height = 0.8 * body.height
     reach = -height * sun[0] / sun[1], -height * sun[2] / sun[1]
-    corners = [(x + i * half, distance + k * body.length) for k in (0, 1) for i in (-1, 1)]
+    cos, sin = np.cos(actor.yaw), np.sin(actor.yaw)
+    flat = [(i * half, k * body.length) for k in (0, 1) for i in (-1, 1)]
+    corners = [(x + a * cos + b * sin, distance + b * cos - a * sin) for a, b in flat]
     cast = np.array(corners + [(a + reach[0], b + reach[1]) for a, b in corners])
     under = np.array(corners) + [(-0.1, -0.15), (0.1, -0.15), (-0.1, 0.1), (0.1, 0.1)]
     for points, dark in ((cast, 0.5), (under, 0.65)):
@@ -1146,12 +1248,14 @@ def render(world, time):
     for actor in world.actors:
         _draw_contact_shadow(view, picture, actor, time)
     things = _roadside_things(view)
-    things += [(a.place(time)[0], _draw_actor, (a, time)) for a in world.actors]
+    things += _facades(view) if world.is_town else []
+    things += [(a.middle(time), _draw_actor, (a, time)) for a in world.actors]
     things.sort(key=lambda thing: -thing[0])
     near = [thing for thing in things if thing[1] is _draw_actor and not thing[2][0].oncoming]
     for _, draw, arguments in (thing for thing in things if thing not in near):
         draw(view, picture, *arguments)
-    _draw_rails(view, picture)
+    if not world.is_town:
+        _draw_rails(view, picture)
     drawn = [(arguments[0], *draw(view, picture, *arguments)) for _, draw, arguments in near]
     oncoming = [(a, _outline(view, a, time)) for a in world.actors if a.oncoming]
     truth = _truth_boxes(view, drawn) + _ignored_boxes(world, oncoming)

@@ -1,6 +1,6 @@
 """Render everything the pipeline needs, for a machine that has no footage.
 
-    python sample_data.py output/sample
+    python -m rendered_road.sample output/sample
 
 writes scenes and training images of both classes cut from them, six test images, a driving video,
 chessboard photos, and the true boxes. The same seed gives the same pictures.
@@ -8,13 +8,12 @@ chessboard photos, and the true boxes. The same seed gives the same pictures.
 
 import argparse
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
-from joblib import Parallel, delayed
-from tqdm import tqdm
 
 from rendered_road.render import (
     BODIES,
@@ -25,36 +24,17 @@ from rendered_road.render import (
     perspective_through_lens,
     render,
 )
-from vehicle_detection.media.images import write_image, write_whole
+from vehicle_detection.compiled.threads import in_parallel
+from vehicle_detection.media.files import write_whole
+from vehicle_detection.media.images import write_image
 from vehicle_detection.media.videos import VideoInfo, video_writer
 
 FPS = 25
+N_SCENES = 160
+MOTORWAY_KINDS = ("saloon", "estate", "suv", "van", "truck")
+# Of the kinds of `BODIES` in a town.
+KIND_SHARES = (0.24, 0.22, 0.2, 0.12, 0.1, 0.06, 0.06)
 _CLASS_CAR = 3
-
-
-def parse_arguments(arguments=None):
-    """Command line to a namespace; `--help` explains it."""
-    parser = argparse.ArgumentParser(
-        description="Render training images, test images, a video and chessboard photos.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
-    parser.add_argument("out", type=Path, help="folder to write to")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--only", nargs="+", choices=PARTS, default=list(PARTS), help="parts to render"
-    )
-    parser.add_argument(
-        "--scenes", type=int, default=260, help="scenes to write, and to cut images from"
-    )
-    parser.add_argument("--seconds", type=float, default=20, help="length of the video")
-    parser.add_argument("--jobs", type=int, default=-1, help="processes; -1: one a core")
-    return parser.parse_args(arguments)
-
-
-def in_parallel(function, items, jobs, title):
-    """Yield function(item) of all items in order, on several cores, with a progress bar."""
-    results = Parallel(n_jobs=jobs, return_as="generator")(delayed(function)(i) for i in items)
-    yield from tqdm(results, title, len(items))
 
 
 # -------------------------------------------------------------------- scenes
@@ -73,18 +53,71 @@ def random_scene(seed):
     for lane in range(empty.n_lanes):
         distance = rng.uniform(5, 22)
         while distance < 95:
-            kind = str(rng.choice(list(BODIES), p=(0.34, 0.24, 0.22, 0.12, 0.08)))
+            kind = str(rng.choice(MOTORWAY_KINDS, p=(0.34, 0.24, 0.22, 0.12, 0.08)))
             actors.append(_standing(len(actors) + 1, kind, distance, lane, rng))
             distance += BODIES[kind].length + rng.uniform(7, 45)
     beside = _vehicles_beside(empty, actors, np.random.default_rng([seed, 14]))
     return make_world(seed, actors + beside)
 
 
+# Cameras of the training scenes: how wide they see, how high they hang, how they are pitched.
+CAMERAS = (
+    Camera(),
+    Camera(focal=900.0, center=(640.0, 360.0), dist=(-0.1, 0.0, 0.0, 0.0, 0.0),
+           horizon_below=-40.0),
+    Camera(focal=760.0, center=(640.0, 360.0), dist=(-0.2, 0.03, 0.0, 0.0, 0.0), mount_height=1.2,
+           horizon_below=10.0),
+    Camera(focal=1500.0, center=(640.0, 360.0), dist=(0.0, 0.0, 0.0, 0.0, 0.0), mount_height=1.65,
+           horizon_below=0.0),
+    Camera(focal=1000.0, center=(640.0, 360.0), dist=(-0.05, 0.0, 0.0, 0.0, 0.0),
+           mount_height=2.3, horizon_below=-90.0),
+)  # fmt: skip
+
+
+def town_scene(seed):
+    """A street with vehicles at all angles: parked in rows, crossing, turning, oncoming.
+
+    Returns
+    -------
+    world : World
+    """
+    rng = np.random.default_rng([seed, 15])
+    empty = replace(make_world(seed), is_town=True, camera=CAMERAS[rng.integers(len(CAMERAS))])
+    actors = []
+
+    def add(distance, lane, yaw):
+        """One more vehicle of any kind."""
+        kind = str(rng.choice(list(BODIES), p=KIND_SHARES))
+        actor = _standing(len(actors) + 1, kind, distance, lane, rng)
+        actors.append(replace(actor, yaw=yaw + rng.normal(0, 0.04)))
+
+    for lane, yaw in ((-0.75, np.pi * (rng.random() < 0.4)), (empty.n_lanes - 0.25, 0.0)):
+        for distance in np.cumsum(rng.uniform(5.6, 9, 8)) + rng.uniform(-6, 6):
+            if rng.random() < 0.6:
+                add(distance + 5.5 * (yaw != 0), lane, yaw)
+    for lane in range(empty.n_lanes):
+        distance = rng.uniform(4, 25)
+        while distance < 70:
+            yaw = rng.choice([0.0, np.pi, rng.uniform(-np.pi, np.pi)], p=(0.5, 0.25, 0.25))
+            add(distance + 5 * (np.cos(yaw) < 0), lane, yaw)
+            distance += rng.uniform(9, 40)
+    if rng.random() < 0.6:
+        distance = rng.uniform(9, 35)
+        for lane in np.cumsum(rng.uniform(1.6, 3, 3)) - 3:
+            add(distance, lane, rng.choice([-1, 1]) * np.pi / 2)
+    return replace(empty, actors=tuple(actors))
+
+
+def training_scene(seed):
+    """A motorway for even seeds, a town for odd ones."""
+    return town_scene(seed) if seed % 2 else random_scene(seed)
+
+
 def _vehicles_beside(world, actors, rng):
     """In every other lane, now and then, one so near that the border cuts it: it comes in."""
     beside = []
     for lane in set(range(world.n_lanes)) - {world.own_lane}:
-        kind = str(rng.choice(list(BODIES)))
+        kind = str(rng.choice(MOTORWAY_KINDS))
         distance = rng.uniform(1.5 - BODIES[kind].length, 5)
         ahead = min((a.distance for a in actors if round(a.lane) == lane), default=np.inf)
         if rng.random() < 0.5 and distance + BODIES[kind].length + 1.5 < ahead:
@@ -206,7 +239,10 @@ def vehicle_cuts(frame, truth, rng):
 def other_cuts(frame, truth, rng, count):
     """Squares of a frame that hold no vehicle, most of them at the height of the road."""
     images = []
-    while len(images) < count:
+    # In dense traffic there may be no place for as many.
+    for _ in range(50 * count):
+        if len(images) == count:
+            break
         side = rng.uniform(44, 240)
         x = rng.uniform(0, frame.shape[1] - side)
         y = rng.uniform(0.45, 0.95) * frame.shape[0] - side / 2
@@ -229,53 +265,61 @@ def _covered(box, other):
 def cut_scene(seed):
     """One scene with its truth, and training images of both classes from it."""
     rng = np.random.default_rng([seed, 12])
-    frame, truth = render(random_scene(seed), 0.0)
+    frame, truth = render(training_scene(seed), 0.0)
     vehicles = vehicle_cuts(frame, truth, rng)
     return frame, truth, (vehicles, other_cuts(frame, truth, rng, max(6, len(vehicles))))
 
 
-def write_training_images(arguments):
-    """Write vehicles/, non-vehicles/ and the scenes they are from, and say how many."""
-    seeds = range(arguments.seed + 1000, arguments.seed + 1000 + arguments.scenes)
+def write_training_images(folder, seed=0, scenes=N_SCENES, jobs=-1):
+    """Write vehicles/, non-vehicles/ and the scenes they are from, and say how many.
+
+    Parameters
+    ----------
+    folder : Path
+    seed : int
+    scenes : int
+    jobs : int
+        Processes; -1 for one a core.
+    """
     counts, rows = {"vehicles": 0, "non-vehicles": 0}, []
-    scenes = in_parallel(cut_scene, seeds, arguments.jobs, "training images")
-    for number, (frame, truth, images) in enumerate(scenes, start=1):
-        write_image(arguments.out / "scenes" / f"{number:05d}.jpg", frame)
+    seeds = list(range(seed + 1000, seed + 1000 + scenes))
+    found = in_parallel(cut_scene, seeds, jobs, "training images")
+    for number, (frame, truth, images) in enumerate(found, start=1):
+        write_image(folder / "scenes" / f"{number:05d}.jpg", frame)
         rows += truth_rows(number, truth)
-        for folder, cuts in zip(counts, images, strict=True):
+        for name, cuts in zip(counts, images, strict=True):
             for image in cuts:
-                path = arguments.out / folder / f"{counts[folder]:05d}.png"
-                write_image(path, image)
-                counts[folder] += 1
-    write_whole(arguments.out / "scenes.gt.txt", "".join(rows))
-    print(", ".join(f"{count} {folder}" for folder, count in counts.items()))
+                write_image(folder / name / f"{counts[name]:05d}.png", image)
+                counts[name] += 1
+    write_whole(folder / "scenes.gt.txt", "".join(rows))
+    print(", ".join(f"{count} {name}" for name, count in counts.items()))
 
 
 # ------------------------------------------------------- test images and video
 
 
-def write_test_images(arguments):
+def write_test_images(folder, seed, jobs):
     """Write test_images/ and their true boxes."""
     rows = []
-    folder = arguments.out / "test_images"
-    seeds = range(arguments.seed + 100, arguments.seed + 106)
+    folder = folder / "test_images"
+    seeds = range(seed + 100, seed + 106)
     scenes = [random_scene(seed) for seed in seeds]
-    frames = in_parallel(partial(render, time=0.0), scenes, arguments.jobs, "test images")
+    frames = in_parallel(partial(render, time=0.0), scenes, jobs, "test images")
     for number, (frame, truth) in enumerate(frames, start=1):
         write_image(folder / f"test{number}.jpg", frame)
         rows += truth_rows(number, truth)
     write_whole(folder / "test_images.gt.txt", "".join(rows))
 
 
-def write_video(arguments):
+def write_video(folder, seed, jobs, seconds):
     """Write videos/drive.mp4 and its true boxes."""
-    world = driving_world(arguments.seed)
-    times = np.arange(round(arguments.seconds * FPS)) / FPS
+    world = driving_world(seed)
+    times = np.arange(round(seconds * FPS)) / FPS
     info = VideoInfo(world.camera.width, world.camera.height, FPS, len(times))
-    folder = arguments.out / "videos"
+    folder = folder / "videos"
     rows = []
     with video_writer(folder / "drive.mp4", info, preset="medium") as write:
-        frames = in_parallel(partial(render, world), times, arguments.jobs, "video")
+        frames = in_parallel(partial(render, world), times, jobs, "video")
         for number, (frame, truth) in enumerate(frames, start=1):
             write(frame)
             rows += truth_rows(number, truth)
@@ -310,20 +354,39 @@ def chessboard_photo(seed, columns=9, rows=6):
     return np.repeat(np.clip(photo, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
 
 
-def write_chessboards(arguments):
+def write_chessboards(folder, seed, jobs):
     """Write camera_cal/, photos of a chessboard through the same lens."""
-    seeds = range(arguments.seed, arguments.seed + 14)
-    photos = in_parallel(chessboard_photo, seeds, arguments.jobs, "chessboards")
+    photos = in_parallel(chessboard_photo, range(seed, seed + 14), jobs, "chessboards")
     for number, photo in enumerate(photos, start=1):
-        write_image(arguments.out / "camera_cal" / f"calibration{number}.jpg", photo)
+        write_image(folder / "camera_cal" / f"calibration{number}.jpg", photo)
 
 
 PARTS = {
-    "training": write_training_images,
-    "images": write_test_images,
-    "video": write_video,
-    "chessboards": write_chessboards,
+    "training": lambda a: write_training_images(a.out, a.seed, a.scenes, a.jobs),
+    "images": lambda a: write_test_images(a.out, a.seed, a.jobs),
+    "video": lambda a: write_video(a.out, a.seed, a.jobs, a.seconds),
+    "chessboards": lambda a: write_chessboards(a.out, a.seed, a.jobs),
 }
+
+
+def parse_arguments(arguments=None):
+    """Command line to a namespace; `--help` explains it."""
+    parser = argparse.ArgumentParser(
+        prog="python -m rendered_road.sample",
+        description="Render training images, test images, a video and chessboard photos.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    parser.add_argument("out", type=Path, help="folder to write to")
+    parser.add_argument("--seed", type=int, default=0, help="of all that is random")
+    parser.add_argument(
+        "--only", nargs="+", choices=PARTS, default=list(PARTS), help="parts to render"
+    )
+    parser.add_argument(
+        "--scenes", type=int, default=N_SCENES, help="scenes to write, and to cut images from"
+    )
+    parser.add_argument("--seconds", type=float, default=20, help="length of the video")
+    parser.add_argument("--jobs", type=int, default=-1, help="processes; -1: one a core")
+    return parser.parse_args(arguments)
 
 
 def main():

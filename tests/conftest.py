@@ -9,18 +9,11 @@ from hypothesis import settings
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC, LinearSVC
 
-from pipeline_functions import FEATURE_PRESETS
 from vehicle_detection.classifier import Classifier
-from vehicle_detection.two_stage.detector import (
-    CELL_FEATURES,
-    N_ALL_FEATURES,
-    N_INNER_FEATURES,
-    WINDOW_COLUMNS,
-    WINDOW_ROWS,
-    Detector,
-    KernelMachine,
-    Template,
-)
+from vehicle_detection.parameters import FEATURE_PRESETS
+from vehicle_detection.two_stage.features import CELL_FEATURES, N_ALL_FEATURES, N_INNER_FEATURES
+from vehicle_detection.two_stage.model import Detector, KernelMachine, Template
+from vehicle_detection.two_stage.proposals import WINDOW_COLUMNS, WINDOW_ROWS
 
 ROOT = Path(__file__).parent.parent
 SHARED = ROOT.parent / "shared"

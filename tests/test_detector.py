@@ -14,12 +14,12 @@ from sklearn.metrics.pairwise import rbf_kernel
 from conftest import random_detector, textured_image
 from pipeline_functions import convert_color
 from vehicle_detection.compiled.hog import cell_histograms
-from vehicle_detection.tracking.tracker import pairwise_iou
-from vehicle_detection.two_stage.detector import (
+from vehicle_detection.parameters import ScanParams
+from vehicle_detection.tracking.boxes import pairwise_iou
+from vehicle_detection.two_stage.features import (
     CELL_FEATURES,
     CHROMA_FEATURES,
     COLOR,
-    FORMAT_VERSION,
     N_ALL_FEATURES,
     N_BORDERS,
     N_INNER_FEATURES,
@@ -28,37 +28,39 @@ from vehicle_detection.two_stage.detector import (
     PATCH_CELLS,
     PATCH_MARGIN,
     PATCH_SIDE,
-    SURROUNDINGS,
-    WINDOW_CELL,
-    WINDOW_ROWS,
-    KernelMachine,
-    ScanParams,
-    Template,
     all_cells,
-    are_plausible,
-    cell_features,
     cell_lengths,
     chroma_features,
     cut_out,
     cut_patches,
     inner_cells,
-    keep_wholes,
-    level_groups,
-    load_detector,
-    look_closer,
     luma_and_chroma,
     margins_outside,
-    move_edges,
-    near_horizon,
     normalise_cells,
     on_whole_pixels,
     patch_features,
-    propose,
     relative_colors,
+)
+from vehicle_detection.two_stage.model import (
+    FORMAT_VERSION,
+    KernelMachine,
+    Template,
+    load_detector,
     save_detector,
+)
+from vehicle_detection.two_stage.proposals import (
+    SURROUNDINGS,
+    WINDOW_CELL,
+    WINDOW_ROWS,
+    cell_features,
+    level_groups,
+    near_horizon,
+    propose,
     suppress,
     window_scores,
 )
+from vehicle_detection.two_stage.refinement import look_closer, move_edges
+from vehicle_detection.two_stage.selection import are_plausible, keep_wholes
 
 SIDE = PATCH_CELLS * PATCH_CELL
 

@@ -12,17 +12,14 @@ from hypothesis import strategies as st
 
 from conftest import ROOT
 from vehicle_detection.evaluation.metrics import (
-    Rows,
     errors_by_frame,
     evaluate,
     forgive,
-    frame_range,
     match,
     precision_recall,
-    read_rows,
-    rows_of,
 )
-from vehicle_detection.tracking.tracker import pairwise_iou
+from vehicle_detection.media.mot import Rows, frame_range, read_rows, rows_of
+from vehicle_detection.tracking.boxes import pairwise_iou
 
 
 def rows(*values):

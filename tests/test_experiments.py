@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from conftest import ROOT, textured_image
-from experiments import table as experiments
 from experiments.table import (
     Dataset,
     feature_params,
@@ -23,6 +22,7 @@ from experiments.table import (
     runs,
     workers,
 )
+from experiments.table import table as experiments
 from vehicle_detection.media.images import write_image
 
 CONFIGURATIONS = read_configurations(ROOT / "results/configurations.csv")

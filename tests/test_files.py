@@ -5,13 +5,8 @@ import numpy as np
 import pytest
 
 from conftest import textured_image
-from vehicle_detection.media.images import (
-    find_images,
-    read_image,
-    write_image,
-    write_whole,
-    written_whole,
-)
+from vehicle_detection.media.files import write_whole, written_whole
+from vehicle_detection.media.images import find_images, read_image, write_image
 
 
 def test_read_image_gives_rgb(tmp_path):

@@ -10,14 +10,10 @@ from hypothesis import strategies as st
 from scipy.ndimage import label
 
 from conftest import random_classifier, textured_image
-from experiments import reference
+from experiments.table import reference
 from pipeline_functions import (
     _IMAGES_PER_STRIP,
-    FEATURE_PRESETS,
-    SEARCH_PRESETS,
-    FeatureParams,
     HeatGrid,
-    SearchParams,
     add_heat,
     apply_threshold,
     bin_spatial,
@@ -33,6 +29,12 @@ from pipeline_functions import (
     keep_lasting_heat,
     labeled_boxes,
     slide_window,
+)
+from vehicle_detection.parameters import (
+    FEATURE_PRESETS,
+    SEARCH_PRESETS,
+    FeatureParams,
+    SearchParams,
 )
 
 COLORS = ["RGB", "YCrCb", "HSV", "HLS", "LUV", "YUV", "Lab", "gray"]

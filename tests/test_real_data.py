@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from conftest import ROOT
-from experiments import reference
-from pipeline_functions import FEATURE_PRESETS, SEARCH_PRESETS, find_cars
+from experiments.table import reference
+from pipeline_functions import find_cars
 from train import parse_arguments, train
 from vehicle_detection.classifier import load_classifier
 from vehicle_detection.media.calibration import calibrate
 from vehicle_detection.media.images import find_images
 from vehicle_detection.media.videos import read_frames
+from vehicle_detection.parameters import FEATURE_PRESETS, SEARCH_PRESETS
 
 
 @pytest.fixture

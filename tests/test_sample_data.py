@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from conftest import ROOT
-from pipeline_functions import SearchParams, find_cars
+from pipeline_functions import find_cars
 from rendered_road.render import BODIES, Actor, Camera, View, _actor_mesh, make_world, render
 from rendered_road.sample import cut_scene, driving_world, random_scene, truth_rows
 from vehicle_detection.classifier import load_classifier
+from vehicle_detection.parameters import SearchParams
 
 
 def test_same_seed_same_frame():

@@ -5,8 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline_functions import draw_vehicles, identity_color
-from vehicle_detection.tracking.tracker import Tracker, TrackParams, pairwise_iou
+from vehicle_detection.media.drawing import draw_vehicles, identity_color
+from vehicle_detection.parameters import TrackParams
+from vehicle_detection.tracking.boxes import pairwise_iou
+from vehicle_detection.tracking.tracker import Tracker
 
 
 def box_at(x, y=100, width=60, height=40):

@@ -11,11 +11,12 @@ from sklearn.svm import LinearSVC
 
 import train
 from conftest import ROOT, random_classifier, textured_image
-from pipeline_functions import FEATURE_PRESETS, FeatureParams, extract_features
+from pipeline_functions import extract_features
 from vehicle_detection.classifier import load_classifier, save_classifier
 from vehicle_detection.media import training_images
 from vehicle_detection.media.images import read_image, write_image
 from vehicle_detection.media.training_images import read_windows
+from vehicle_detection.parameters import FEATURE_PRESETS, FeatureParams
 
 
 @pytest.fixture(scope="module")

@@ -13,21 +13,16 @@ from conftest import ROOT, textured_image
 from pipeline_functions import convert_color
 from rendered_road.render import render
 from rendered_road.sample import random_scene, truth_rows
-from vehicle_detection.evaluation.metrics import evaluate, read_rows
+from vehicle_detection.evaluation.metrics import evaluate
 from vehicle_detection.media.images import write_image
+from vehicle_detection.media.mot import read_rows
 from vehicle_detection.media.videos import VideoInfo, video_writer
-from vehicle_detection.tracking.tracker import pairwise_iou, pairwise_overlap
-from vehicle_detection.two_stage.detector import (
-    N_ALL_FEATURES,
-    WINDOW_CELL,
-    WINDOW_ROWS,
-    cell_features,
-    load_detector,
-    margins_outside,
-    on_whole_pixels,
-)
-from vehicle_detection.two_stage.training import training as train_detector
-from vehicle_detection.two_stage.training.training import (
+from vehicle_detection.parameters import STILL_SCAN, STILL_TRACKS
+from vehicle_detection.tracking.boxes import pairwise_iou, pairwise_overlap
+from vehicle_detection.two_stage.features import N_ALL_FEATURES, margins_outside, on_whole_pixels
+from vehicle_detection.two_stage.model import load_detector
+from vehicle_detection.two_stage.proposals import WINDOW_CELL, WINDOW_ROWS, cell_features
+from vehicle_detection.two_stage.training import (
     Example,
     TrainingSet,
     best_iou,
@@ -52,7 +47,8 @@ from vehicle_detection.two_stage.training.training import (
     window_features,
     worn,
 )
-from vehicle_detection.two_stage.vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
+from vehicle_detection.two_stage.training import training as train_detector
+from vehicle_detection.two_stage.vehicle import Vehicle
 
 
 def boxes_of(seed, count, width=320, height=180):

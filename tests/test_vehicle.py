@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from conftest import ROOT, random_detector, textured_image
-from pipeline_functions import identity_color
-from vehicle_detection.evaluation.metrics import Rows, evaluate, read_rows
+from vehicle_detection.evaluation.metrics import evaluate
+from vehicle_detection.media.drawing import identity_color
+from vehicle_detection.media.mot import Rows, read_rows
 from vehicle_detection.media.videos import read_frames
-from vehicle_detection.tracking.tracker import TrackParams
-from vehicle_detection.two_stage.detector import save_detector
-from vehicle_detection.two_stage.vehicle import STILL_SCAN, STILL_TRACKS, Vehicle, are_whole_cars
+from vehicle_detection.parameters import STILL_SCAN, STILL_TRACKS, TrackParams
+from vehicle_detection.two_stage.model import save_detector
+from vehicle_detection.two_stage.vehicle import Vehicle, are_whole_cars
 
 EAGER = TrackParams(birth=0.2, most_evidence=2.0, miss_cost=0.7)
 

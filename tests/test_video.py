@@ -10,22 +10,23 @@ import numpy as np
 import pytest
 
 from conftest import ROOT, random_classifier, random_detector, textured_image
-from detect import mot_rows
-from experiments import reference
-from pipeline_functions import (
-    FEATURE_PRESETS,
-    SEARCH_PRESETS,
-    FeatureParams,
-    are_near,
-    identity_color,
-)
-from vehicle import FILTER_PRESETS, FilterParams, HeatVehicle
+from experiments.table import reference
+from pipeline_functions import are_near
 from vehicle_detection.classifier import save_classifier
 from vehicle_detection.media.calibration import Calibration, save_calibration
+from vehicle_detection.media.drawing import identity_color
 from vehicle_detection.media.images import write_image
+from vehicle_detection.media.mot import mot_rows
 from vehicle_detection.media.videos import VideoInfo, read_frames, video_info, video_writer
-from vehicle_detection.two_stage.detector import save_detector
-from vehicle_detection.two_stage.vehicle import STILL_SCAN, STILL_TRACKS, Vehicle
+from vehicle_detection.parameters import (
+    FEATURE_PRESETS,
+    SEARCH_PRESETS,
+    STILL_SCAN,
+    STILL_TRACKS,
+    FeatureParams,
+)
+from vehicle_detection.two_stage.model import save_detector
+from vehicle_detection.two_stage.vehicle import FILTER_PRESETS, FilterParams, HeatVehicle, Vehicle
 
 
 def moving_frames(count, rows=180, columns=320):

@@ -9,8 +9,8 @@ import numpy as np
 import sklearn
 from sklearn.preprocessing import StandardScaler
 
-from pipeline_functions import FeatureParams
-from vehicle_detection.media.images import write_whole
+from vehicle_detection.media.files import write_whole
+from vehicle_detection.parameters import FeatureParams
 
 FORMAT_VERSION = 1
 

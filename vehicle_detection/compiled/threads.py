@@ -83,3 +83,24 @@ def share(function, length, n_parts):
     n_parts = max(1, min(_N_CORES, n_parts))
     edges = [length * i // n_parts for i in range(n_parts + 1)]
     return side_by_side(lambda part: function(*part), list(pairwise(edges)))
+
+
+def in_parallel(function, items, jobs, title):
+    """Yield function(item) of all items in order, from several processes, with a progress bar.
+
+    Parameters
+    ----------
+    function : callable
+        Takes an item; picklable.
+    items : list
+    jobs : int
+        Processes; -1 for one a core.
+    title : str
+        Of the progress bar.
+    """
+    # Imported here: only training, rendering and experiments need it.
+    from joblib import Parallel, delayed
+    from tqdm.auto import tqdm
+
+    results = Parallel(n_jobs=jobs, return_as="generator")(delayed(function)(i) for i in items)
+    yield from tqdm(results, title, len(items))

@@ -1,119 +1,19 @@
-"""Hold detections against the truth.
+"""Figures of boxes against the truth.
 
-    python evaluate.py TRUTH DETECTIONS [--frames A:B[:STEP]] [--json] [--picture P.png]
-
-Truth rows with conf 0 are ignore regions: a detection that matches no
-required vehicle and lies by half of its own area in one is neither right nor
-wrong.
+Truth rows with conf 0 are ignore regions: a detection that matches no required vehicle and
+lies by half of its own area in one is neither right nor wrong.
 """
 
-import argparse
-import json
-import sys
-from dataclasses import dataclass, replace
-from pathlib import Path
-
-import matplotlib.pyplot as plt
 import motmetrics
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from vehicle_detection.media.images import written_whole
-from vehicle_detection.tracking.tracker import pairwise_iou, pairwise_overlap
+from vehicle_detection.media.mot import all_frames
+from vehicle_detection.tracking.boxes import pairwise_iou, pairwise_overlap
 
 HEIGHT_EDGES = (30, 40, 60, 100, np.inf)
 # A vehicle that comes back after this many frames has to be found anew.
 _NEW_ENTRY_GAP = 25
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Rows of a MOTChallenge file.
-
-    Attributes
-    ----------
-    frames, ids : ndarray of int, shape (n,)
-    boxes : ndarray of float, shape (n, 4)
-        left, top, right, bottom in pixels.
-    scores : ndarray of float, shape (n,)
-        The seventh column: score of a detection, conf of a truth row.
-    visibility : ndarray of float, shape (n,)
-        The ninth column: share of a vehicle that is seen; -1 if it is not known.
-    """
-
-    frames: np.ndarray
-    ids: np.ndarray
-    boxes: np.ndarray
-    scores: np.ndarray
-    visibility: np.ndarray
-
-    def only(self, chosen):
-        """The rows that a mask or index array picks."""
-        return Rows(**{name: values[chosen] for name, values in vars(self).items()})
-
-    def within(self, frames):
-        """The rows of a range of frames."""
-        return self.only(np.isin(self.frames, frames))
-
-    def told_apart(self):
-        """The same, with an identity of its own, below zero, for each row that has none."""
-        numbers = -1 - np.arange(len(self.ids))
-        return replace(self, ids=np.where(self.ids < 0, numbers, self.ids))
-
-
-def frame_range(text):
-    """ "A:B" or "A:B:STEP" to a range of frame numbers, from 1, both ends included."""
-    try:
-        first, last, *step = (int(part) for part in text.split(":"))
-        frames = range(first, last + 1, *step)
-    except (TypeError, ValueError):
-        frames = range(0)
-    if not frames or min(frames[0], frames.step) < 1:
-        raise ValueError(f"frames are A:B or A:B:STEP, from 1, both included, not {text!r}")
-    return frames
-
-
-def all_frames(truth, detections):
-    """Range from 1 to the last frame of both, one frame at least."""
-    last = max(truth.frames.max(initial=1), detections.frames.max(initial=1))
-    return range(1, int(last) + 1)
-
-
-def read_rows(path):
-    """Read a MOTChallenge file.
-
-    Raises
-    ------
-    FileNotFoundError, ValueError
-        The file is missing; a row is not seven or more numbers.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file of boxes")
-    lines = [line for line in path.read_text().splitlines() if line.strip()]
-    try:
-        rows = [[float(v) for v in line.split(",")] for line in lines]
-        if min(map(len, rows), default=7) < 7:
-            raise ValueError("fewer than seven")
-        # Class and visibility may be left out.
-        values = np.array([(row + [-1, -1])[:9] for row in rows]).reshape(-1, 9)
-        if not np.isfinite(values).all():
-            raise ValueError("not a finite number")
-    except ValueError as error:
-        raise ValueError(f"{path}: rows are to be frame,id,left,top,width,height,score") from error
-    boxes = np.hstack([values[:, 2:4], values[:, 2:4] + values[:, 4:6]])
-    frames, ids = values[:, :2].astype(int).T
-    return Rows(frames, ids, boxes, scores=values[:, 6], visibility=values[:, 8])
-
-
-def rows_of(boxes):
-    """Rows of boxes without identity or score, from one array (n, 4) a frame."""
-    counts = [len(of_frame) for of_frame in boxes]
-    frames = np.repeat(np.arange(1, len(boxes) + 1), counts)
-    stacked = np.concatenate([np.reshape(of_frame, (-1, 4)) for of_frame in boxes])
-    unknown = np.full(len(frames), -1)
-    scores = np.ones(len(frames))
-    return Rows(frames, unknown, stacked.astype(float), scores, visibility=unknown.astype(float))
 
 
 def match(required, detected, iou_threshold=0.5):
@@ -136,7 +36,7 @@ def match(required, detected, iou_threshold=0.5):
     return rows[good], columns[good]
 
 
-def forgive(truth, detections, iou_threshold=0.5):
+def drop_ignored(truth, detections, iou_threshold=0.5):
     """Detections without those that the ignore regions excuse.
 
     Parameters
@@ -169,7 +69,7 @@ def accumulate(truth, detections, frames, iou_threshold=0.5):
     Parameters
     ----------
     truth, detections : Rows
-        Required vehicles; detections that count; both `told_apart`.
+        Required vehicles; detections that count; both `with_unique_ids`.
     frames : range
 
     Returns
@@ -221,9 +121,9 @@ def evaluate(truth, detections, frames=None, iou_threshold=0.5):
     truth, detections = truth.within(frames), detections.within(frames)
     truth_has_identities = not (truth.ids[truth.scores == 1] < 0).any()
     both_have = truth_has_identities and (detections.ids >= 0).any()
-    truth, detections = truth.told_apart(), detections.told_apart()
+    truth, detections = truth.with_unique_ids(), detections.with_unique_ids()
     required = truth.only(truth.scores == 1)
-    counted = forgive(truth, detections, iou_threshold)
+    counted = drop_ignored(truth, detections, iou_threshold)
     accumulator = accumulate(required, counted, frames, iou_threshold)
     summary = motmetrics.metrics.create().compute(accumulator, metrics=list(_METRICS), name="all")
     figures = {name: summary.loc["all", metric] for metric, name in _METRICS.items()}
@@ -285,27 +185,6 @@ def _entry_delays(required, found):
     return delays
 
 
-# ------------------------------------------------------------------ showing
-
-
-def table(figures):
-    """Figures as lines of text."""
-    lines = []
-    for name, value in figures.items():
-        if isinstance(value, dict):
-            inner = ", ".join(f"{key}: {_number(v)}" for key, v in value.items())
-            lines.append(f"{name:28}{inner}")
-        else:
-            lines.append(f"{name:28}{_number(value)}")
-    return "\n".join(lines)
-
-
-def _number(value):
-    if value is None:
-        return "-"
-    return str(value) if isinstance(value, int) else f"{value:.3f}"
-
-
 def precision_recall(truth, detections, iou_threshold=0.5, steps=40):
     """Precision and recall over the threshold on the score.
 
@@ -319,7 +198,7 @@ def precision_recall(truth, detections, iou_threshold=0.5, steps=40):
     thresholds = np.quantile(detections.scores, np.linspace(0, 0.99, steps))
     curve = []
     for threshold in thresholds:
-        kept = forgive(truth, detections.only(detections.scores >= threshold), iou_threshold)
+        kept = drop_ignored(truth, detections.only(detections.scores >= threshold), iou_threshold)
         n_matched = sum(
             len(match(required.boxes[required.frames == frame],
                       kept.boxes[kept.frames == frame], iou_threshold)[0])
@@ -346,7 +225,10 @@ def errors_by_frame(truth, detections, frames, iou_threshold=0.5):
     misses, false_positives : ndarray of int, shape (len(frames),)
     """
     truth, detections = truth.within(frames), detections.within(frames)
-    required, counted = truth.only(truth.scores == 1), forgive(truth, detections, iou_threshold)
+    required, counted = (
+        truth.only(truth.scores == 1),
+        drop_ignored(truth, detections, iou_threshold),
+    )
     errors = []
     for frame in frames:
         wanted = required.boxes[required.frames == frame]
@@ -355,55 +237,3 @@ def errors_by_frame(truth, detections, frames, iou_threshold=0.5):
         errors.append((len(wanted) - n_matched, len(found) - n_matched))
     misses, false_positives = np.array(errors).T
     return misses, false_positives
-
-
-def draw_evaluation(truth, detections, frames, iou_threshold=0.5):
-    """Figure with the precision-recall curve and a timeline of errors over a range of frames.
-
-    Returns
-    -------
-    figure : matplotlib.figure.Figure
-    """
-    figure, (curve, timeline) = plt.subplots(
-        2, 1, figsize=(10, 7), height_ratios=(2, 1), layout="constrained"
-    )
-    truth, detections = truth.within(frames), detections.within(frames)
-    _, precision, recall = precision_recall(truth, detections, iou_threshold)
-    curve.plot(recall, precision, marker=".")
-    curve.set(xlabel="recall", ylabel="precision", xlim=(0, 1.02), ylim=(0, 1.02))
-    misses, alarms = errors_by_frame(truth, detections, frames, iou_threshold)
-    timeline.fill_between(frames, misses, step="mid", color="tab:orange", label="missed")
-    timeline.fill_between(
-        frames, -np.array(alarms), step="mid", color="tab:red", label="false positives"
-    )
-    timeline.set(xlabel="frame", ylabel="boxes")
-    timeline.legend(loc="upper right")
-    return figure
-
-
-def main():
-    """Run the command line."""
-    parser = argparse.ArgumentParser(description="Hold detections against the truth.")
-    parser.add_argument("truth", type=Path, help="MOTChallenge rows, conf 0 to ignore")
-    parser.add_argument("detections", type=Path, help="MOTChallenge rows of detect.py")
-    parser.add_argument("--frames", metavar="A:B[:STEP]", help="both included")
-    parser.add_argument("--iou", type=float, default=0.5, help="of a match, default: 0.5")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    parser.add_argument("--picture", type=Path, help="png to write curve and timeline to")
-    arguments = parser.parse_args()
-    try:
-        truth, detections = read_rows(arguments.truth), read_rows(arguments.detections)
-        asked_for = arguments.frames
-        frames = frame_range(asked_for) if asked_for else all_frames(truth, detections)
-        figures = evaluate(truth, detections, frames, arguments.iou)
-        print(json.dumps(figures, indent=1) if arguments.json else table(figures))
-        if arguments.picture:
-            figure = draw_evaluation(truth, detections, frames, arguments.iou)
-            with written_whole(arguments.picture) as partial:
-                figure.savefig(partial, dpi=90)
-    except (OSError, ValueError) as error:
-        sys.exit(f"error: {error}")
-
-
-if __name__ == "__main__":
-    main()

@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from vehicle_detection.media.images import find_images, read_image, write_whole
+from vehicle_detection.media.files import write_whole
+from vehicle_detection.media.images import find_images, read_image
 
 _THOROUGH = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 

@@ -1,17 +1,16 @@
-"""Reading images and writing files, with errors that name the file.
+"""Images in and out, with errors that name the file.
 
 Colour order is settled here: what OpenCV reads as BGR leaves as RGB.
 """
 
-import os
-from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from vehicle_detection.media.files import write_whole
+
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg"}
-VIDEO_SUFFIXES = {".mp4", ".avi", ".mov", ".mkv", ".webm"}
 
 
 def find_images(folder):
@@ -71,28 +70,3 @@ def write_image(path, img):
     if not done:
         raise ValueError(f"{path}: cannot be written as an image")
     write_whole(path, encoded.tobytes())
-
-
-@contextmanager
-def written_whole(path):
-    """A temporary path beside `path` that takes its name if the block succeeds.
-
-    The suffix stays, for encoders choose the format by it.
-    """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{os.getpid()}.partial.{path.name}")
-    try:
-        yield partial
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
-
-
-def write_whole(path, content):
-    """Write bytes or text to a file that appears under its name only when whole."""
-    with written_whole(path) as partial:
-        if isinstance(content, bytes):
-            partial.write_bytes(content)
-        else:
-            partial.write_text(content)

@@ -17,15 +17,13 @@ import cv2
 import numpy as np
 from moviepy.config import FFMPEG_BINARY
 
-from vehicle_detection.media.images import written_whole
+from vehicle_detection.media.files import written_whole
 
+VIDEO_SUFFIXES = {".mp4", ".avi", ".mov", ".mkv", ".webm"}
 _QUEUE_LENGTH = 8
 # Decoding runs beside the search. Threads that take turns at one frame each need more
 # time in all than one thread does.
 _DECODERS = max(1, (os.cpu_count() or 1) // 2)
-ENCODER_PRESETS = (
-    "ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -1,25 +1,25 @@
-"""What both ways of detecting do with the frames of a video, apart from detecting."""
+"""How a detector shows what it found: boxes, undistortion, split screen."""
 
 import cv2
 import numpy as np
 
-from pipeline_functions import draw_vehicles
 from vehicle_detection.compiled.threads import share
-from vehicle_detection.media import calibration as calibrate
+from vehicle_detection.media.calibration import load_calibration
+from vehicle_detection.media.drawing import draw_title, draw_vehicles
 
 _ROWS_WORTH_A_THREAD = 100
 
 
 class Viewer:
-    """Draws the vehicles of the frames of one video, handed over in order.
+    """Draws the detections of the frames of one video.
 
-    A class on top of this one finds them: it has `detect`, which takes a frame
-    and returns what it found, with boxes and ids, and `step_pictures`.
+    A class on top of this one finds them. It has `detect`, which takes a frame and returns
+    detections with `boxes` and `ids`, `step_pictures` and `reset`.
 
     Parameters
     ----------
     path_calib : path or None
-        Calibration of `calibrate.py`; None draws on the frame as it is.
+        Calibration file, see `calibration.save_calibration`; None draws on the frame as it is.
 
     Attributes
     ----------
@@ -35,40 +35,31 @@ class Viewer:
             self.load_calibration(path_calib)
 
     def load_calibration(self, path):
-        """Read a calibration, see `calibrate.load_calibration`."""
-        self.calibration = calibrate.load_calibration(path)
+        """Read a calibration, see `calibration.load_calibration`."""
+        self.calibration = load_calibration(path)
         self._maps = {}
 
-    def reset(self):
-        """Forget all frames: the next one begins another video."""
-        self._frame_shape = None
-        self._n_frames = 0
-
-    def _require_same_size(self, rgb_frame):
-        if self._frame_shape not in (None, rgb_frame.shape):
-            raise ValueError(f"a frame of {rgb_frame.shape} after one of {self._frame_shape}")
-        self._frame_shape = rgb_frame.shape
-
     def process_image(self, rgb_frame):
-        """The next frame of the video, its vehicles boxed in colours of their own.
+        """Detect in the next frame of the video and draw its vehicles.
 
         Parameters
         ----------
         rgb_frame : ndarray of uint8, shape (rows, columns, 3)
+            RGB.
 
         Returns
         -------
-        rgb_frame : ndarray of uint8, shape (rows, columns, 3)
-            Undistorted if there is a calibration.
+        picture : ndarray of uint8, shape (rows, columns, 3)
+            RGB; undistorted if there is a calibration.
         """
         return self.draw(rgb_frame, self.detect(rgb_frame))
 
     def draw(self, rgb_frame, detections):
-        """Vehicles on the frame, then undistortion if there is a calibration."""
+        """Vehicles on a copy of the frame, then undistortion if there is a calibration."""
         return self.undistort(draw_vehicles(rgb_frame, detections.boxes, detections.ids))
 
     def draw_split_screen(self, rgb_frame, detections):
-        """The four of `step_pictures` in one picture as large as the frame.
+        """The four `step_pictures` in one picture as large as the frame.
 
         Returns
         -------
@@ -78,10 +69,9 @@ class Viewer:
         picture = np.zeros_like(rgb_frame)
         quarter = columns // 2, rows // 2
         for i, step in enumerate(self.step_pictures(rgb_frame, detections)):
-            tile = draw_title(
-                cv2.resize(step, quarter, interpolation=cv2.INTER_AREA), self.titles[i]
-            )
+            small = cv2.resize(step, quarter, interpolation=cv2.INTER_AREA)
             top, left = i // 2 * quarter[1], i % 2 * quarter[0]
+            tile = draw_title(small, f"{i + 1} {self.titles[i]}")
             picture[top : top + quarter[1], left : left + quarter[0]] = tile
         return picture
 
@@ -103,11 +93,7 @@ class Viewer:
         return picture
 
 
-def draw_title(img, title):
-    """The image with a line of text at its top left."""
-    size = img.shape[0] / 500
-    place = round(20 * size), round(30 * size)
-    for color, shift in (((0, 0, 0), 1), ((255, 255, 255), 0)):
-        where = place[0] + shift, place[1] + shift
-        img = cv2.putText(img, title, where, cv2.FONT_HERSHEY_SIMPLEX, size, color, 1, cv2.LINE_AA)
-    return img
+def require_same_size(rgb_frame, shape):
+    """Raise ValueError if a frame is not of the shape of the frame before, None for none."""
+    if shape not in (None, rgb_frame.shape):
+        raise ValueError(f"a frame of {rgb_frame.shape} after one of {shape}")

@@ -1,127 +1,183 @@
 """The road, as vehicles tell it: where it vanishes, and how high vehicles are on it.
 
-On a flat road the bottom of a vehicle lies below the horizon by its height in
-pixels times h / H, h being the height of the camera and H that of the vehicle,
-both in metres [1]_. What hangs above the horizon is no vehicle, and what is
-much lower than a car where it stands is mostly a part of one.
+On a flat road the bottom of a vehicle lies below the horizon by its height in pixels times
+h / H, h being the height of the camera and H that of the vehicle, both in metres [1]_. What is
+known of horizon and h / H is a Gaussian: a wide one before any vehicle has been seen, a narrow
+one after some. Boxes that stand where no vehicle can lose score by how sure that is.
 
 References
 ----------
-.. [1] D. Hoiem, A. Efros and M. Hebert, "Putting Objects in Perspective",
-       CVPR 2006.
+.. [1] D. Hoiem, A. Efros and M. Hebert, "Putting Objects in Perspective", CVPR 2006.
+.. [2] C. Bishop, "Pattern Recognition and Machine Learning", 2006, section 3.3 (Bayesian
+       linear regression).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-# h / H of a camera behind the windscreen and a car, and how much it weighs
-# against all vehicles together: as much as one in eighty of them.
-_USUAL = 0.8
-_WEIGHT_OF_USUAL = 1 / 80
-# Where a road may vanish that no vehicle has told of yet, as a share of the frame's
-# rows: hardly any camera looks farther down, and of a road that vanishes at 0.42, cars
-# higher than a seventeenth of the frame are still taken to stand on this one.
-_USUAL_HORIZON = 0.46
-# Vehicles differ so much in h / H; what differs more weighs less.
-_SPREAD = 0.15
-# Height of a lorry by that of a car: roads let pass up to four metres or little more.
-_HIGHEST = 3
-# What a car may be lower than most, in heights of the camera by its own; and how
-# far bumps may take it, as a share of the frame's rows.
-_SLACK, _BUMP = 0.1, 0.01
+from vehicle_detection.tracking.boxes import box_heights
 
 
 @dataclass(frozen=True)
 class Road:
-    """What vehicles say of the road and the camera.
+    """What is known of the road and the camera: a Gaussian.
 
     Attributes
     ----------
-    horizon : float
-        Row in which the road vanishes.
-    camera_to_car : float
-        Height of the camera by that of a car.
+    mean : ndarray of float, shape (2,)
+        Row in which the road vanishes; height of the camera by that of a car.
+    covariance : ndarray of float, shape (2, 2)
     """
 
-    horizon: float
-    camera_to_car: float
+    mean: np.ndarray
+    covariance: np.ndarray
 
 
-def usual_road(n_rows):
-    """What to take for the road of a frame of `n_rows` before any vehicle tells of it."""
-    return Road(_USUAL_HORIZON * n_rows, _USUAL)
+@dataclass(frozen=True)
+class Reach:
+    """Where vehicles can stand, given what is known of the road.
+
+    Attributes
+    ----------
+    horizon : (float, float)
+        First and last row in which the road may vanish.
+    ratio : (float, float)
+        Least and largest distance of a vehicle's bottom from the horizon by its height.
+    """
+
+    horizon: tuple
+    ratio: tuple
 
 
-def fit_road(boxes):
-    """The road on which most of some vehicles stand, by regression in which outliers weigh less.
+def prior_road(n_rows, params):
+    """What is known of the road in frames of `n_rows` before any vehicle has been seen."""
+    scale = np.array([n_rows, 1.0])
+    mean, std = zip(params.horizon, params.camera_to_car, strict=True)
+    return Road(scale * mean, np.diag((scale * std) ** 2))
+
+
+def reach(road, n_rows, params):
+    """Where to scan for vehicles: all but the least likely places.
 
     Parameters
     ----------
-    boxes : ndarray of float, shape (n, 4)
-        Cars of some frames; at least one, and all of some height.
-
-    Returns
-    -------
-    road : Road
-        Its `camera_to_car` is at least the usual one: what says less is mostly
-        parts of a car at one distance, taken for whole ones.
-    """
-    bottom, height = boxes[:, 3], boxes[:, 3] - boxes[:, 1]
-    # Divided by their height, boxes of all sizes err alike.
-    ratio, inverse = bottom / height, 1 / height
-    horizon, camera_to_car = np.median(bottom - _USUAL * height), _USUAL
-    columns = np.stack([np.ones(len(boxes)), inverse], axis=1)
-    for _ in range(3):
-        errors = np.abs(ratio - inverse * horizon - camera_to_car)
-        weights = 1 / len(boxes) / np.maximum(1, errors / _SPREAD)
-        left = columns.T @ (weights[:, None] * columns)
-        right = columns.T @ (weights * ratio)
-        left[0, 0] += _WEIGHT_OF_USUAL
-        right[0] += _WEIGHT_OF_USUAL * _USUAL
-        camera_to_car, horizon = np.linalg.solve(left, right)
-    if camera_to_car < _USUAL:
-        return Road(float(np.median(bottom - _USUAL * height)), _USUAL)
-    return Road(float(horizon), float(camera_to_car))
-
-
-def stand_on_road(boxes, road, n_rows):
-    """Which boxes could frame a vehicle that stands on the road.
-
-    Lorries are up to three times as high as cars; signs and bridges have their
-    bottom above the horizon, or not far enough below.
-
-    Parameters
-    ----------
-    boxes : ndarray of float, shape (n, 4)
     road : Road
     n_rows : int
         Of the frame.
+    params : RoadParams
 
     Returns
     -------
-    standing : ndarray of bool, shape (n,)
+    reach : Reach
+        In steps of `params.step`: levels are laid out anew wherever it changes.
     """
-    below = boxes[:, 3] - road.horizon + _BUMP * n_rows
-    return below > road.camera_to_car / _HIGHEST * (boxes[:, 3] - boxes[:, 1])
+    std = np.sqrt(np.diag(road.covariance))
+    low, high = road.mean - params.n_std * std, road.mean + params.n_std * std
+    step = params.step
+    horizon = np.floor(low[0] / n_rows / step) * step, np.ceil(high[0] / n_rows / step) * step
+    ratio = np.floor(low[1] / step) * step / params.lorry_to_car, np.ceil(high[1] / step) * step
+    return Reach(
+        tuple(float(share * n_rows) for share in np.clip(horizon, 0, 1)),
+        tuple(float(one) for one in np.maximum(ratio, 0)),
+    )
 
 
-def lowness(boxes, road, n_rows):
-    """How much lower than cars boxes are where they stand.
+def update_road(prior, boxes, weights, params):
+    """What is known after some cars have been seen, by Bayesian linear regression [2]_.
+
+    Parameters
+    ----------
+    prior : Road
+    boxes : ndarray of float, shape (n, 4)
+        Whole cars, of some height.
+    weights : ndarray of float, shape (n,)
+        How sure it is that each is a car, from 0 to 1.
+    params : RoadParams
+
+    Returns
+    -------
+    road : Road
+    """
+    if not len(boxes):
+        return prior
+    heights = box_heights(boxes)
+    # Divided by their height, boxes of all sizes err alike: bottom / h = horizon / h + ratio.
+    columns = np.stack([1 / heights, np.ones(len(boxes))], axis=1)
+    target = boxes[:, 3] / heights
+    # Boxes of one car in many frames are no independent witnesses.
+    weights = weights * min(1, params.most_witnesses / max(weights.sum(), 1e-9))
+    precision = np.linalg.inv(prior.covariance)
+    mean = prior.mean
+    for _ in range(4):
+        error = np.abs(target - columns @ mean) / params.spread
+        robust = weights / np.maximum(1, error) / params.spread**2
+        posterior = precision + columns.T @ (robust[:, None] * columns)
+        pull = precision @ prior.mean + columns.T @ (robust * target)
+        mean = np.linalg.solve(posterior, pull)
+    return Road(mean, np.linalg.inv(posterior))
+
+
+def misplacement(boxes, road, params):
+    """By how many standard deviations boxes stand where no vehicle can.
+
+    A box may be that of a car, or of a vehicle up to `params.lorry_to_car` times as high.
+    What stands higher hangs above the road; what stands lower is too low for a car there.
 
     Parameters
     ----------
     boxes : ndarray of float, shape (n, 4)
     road : Road
-    n_rows : int
-        Of the frame.
+    params : RoadParams
 
     Returns
     -------
-    lowness : ndarray of float, shape (n,)
-        From 0, for what may be a car, in heights of the camera by that of the box:
-        the lower half of a car has `camera_to_car`, less a tenth.
+    deviation : ndarray of float, shape (n,)
+        From 0.
     """
-    below = boxes[:, 3] - road.horizon - _BUMP * n_rows
-    excess = below / (boxes[:, 3] - boxes[:, 1]) - road.camera_to_car
-    return np.maximum(0, excess - _SLACK)
+    heights = box_heights(boxes)
+    horizon, ratio = road.mean
+    below = boxes[:, 3] - horizon
+    hanging = ratio * heights / params.lorry_to_car - below
+    low = below - ratio * heights
+    variance = (params.spread * heights) ** 2
+    columns = np.stack([np.ones(len(boxes)), heights], axis=1)
+    variance += np.einsum("ij,jk,ik->i", columns, road.covariance, columns)
+    return np.maximum(0, np.maximum(hanging, low)) / np.sqrt(variance)
+
+
+class RoadMemory:
+    """Whole cars of the last frames, and the road they tell.
+
+    Parameters
+    ----------
+    params : RoadParams
+    """
+
+    def __init__(self, params):
+        self.params = params
+        self._cars = np.empty((0, 4))
+
+    def learn(self, cars):
+        """Add boxes of whole cars, shape (n, 4)."""
+        self._cars = np.concatenate([self._cars, cars])[-self.params.most_cars :]
+
+    def road(self, n_rows, cars=None, weights=None):
+        """What is known of the road, from the cars remembered and those of this frame.
+
+        Parameters
+        ----------
+        n_rows : int
+            Of the frame.
+        cars, weights : ndarray of float, shapes (n, 4) and (n,), optional
+            Of this frame, see `update_road`.
+
+        Returns
+        -------
+        road : Road
+        """
+        boxes, all_weights = self._cars, np.ones(len(self._cars))
+        if cars is not None:
+            boxes = np.concatenate([boxes, cars])
+            all_weights = np.concatenate([all_weights, weights])
+        return update_road(prior_road(n_rows, self.params), boxes, all_weights, self.params)

@@ -1,52 +1,31 @@
-"""The two-stage detector with a memory: frames in, vehicles out.
+"""`TwoStageVehicle`: the two-stage detector over a video, frames in, vehicles out.
 
-proposals and known vehicles -> a closer look -> the road -> tracks -> vehicles
+predictions of tracks, proposals -> refinement -> selection -> tracks -> vehicles
 """
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
-import cv2
 import numpy as np
 
-from pipeline_functions import draw_boxes, draw_vehicles
-from vehicle_detection.media.viewer import Viewer
-from vehicle_detection.tracking.tracker import Tracker, TrackParams, pairwise_iou
-from vehicle_detection.two_stage.detector import (
+from vehicle_detection.media.drawing import draw_boxes, draw_rated, draw_vehicles
+from vehicle_detection.media.viewer import Viewer, require_same_size
+from vehicle_detection.parameters import (
+    DEFAULT_ROAD,
     DEFAULT_SCAN,
-    ScanParams,
-    are_plausible,
-    are_rivals,
-    keep_wholes,
-    level_groups,
-    load_detector,
-    look_closer,
-    margins_outside,
-    move_edges,
-    near_horizon,
-    propose,
+    DEFAULT_SELECTION,
+    DEFAULT_TRACKS,
 )
-from vehicle_detection.two_stage.road import fit_road, lowness, stand_on_road, usual_road
+from vehicle_detection.tracking.boxes import clip_to_frame, stack_boxes
+from vehicle_detection.tracking.tracker import Tracker
+from vehicle_detection.two_stage.features import margins_outside
+from vehicle_detection.two_stage.model import load_detector
+from vehicle_detection.two_stage.proposals import level_groups, propose
+from vehicle_detection.two_stage.refinement import merge, refine
+from vehicle_detection.two_stage.road import RoadMemory, misplacement, reach
+from vehicle_detection.two_stage.selection import are_plausible, non_max_suppression
 
-DEFAULT_TRACKS = TrackParams(
-    min_iou=0.2, max_growth=1.4, reach=0.25, max_missed=75,
-    measurement_noise=0.1, process_noise=0.01, kept_velocity=0.8,
-    birth=2.0, most_evidence=8.0, neutral_score=0.35, miss_cost=0.9,
-)  # fmt: skip
-# A still is searched at all scales at once, and has no other frame to agree with.
-STILL_SCAN = ScanParams(cells_per_step=1, n_groups=1, n_proposals=12)
-STILL_TRACKS = TrackParams(birth=0.5)
-
-# A proposal that overlaps a known vehicle this much shows nothing else.
-_SAME_IOU = 0.6
-# What was last seen of a vehicle was often framed together with what hid it: it is
-# looked for at three quarters of the size too.
-_SMALLER = np.array([1, 1, -1, -1]) / 8
-# Where two boxes are rivals, the one that goes on with a track is believed more.
-_TRUST_IN_TRACKS = 0.5
-# Only vehicles tell where the road is, and they do so from some twenty boxes on.
-_ENOUGH_SEEN, _MOST_SEEN = 20, 500
-# What a box's score loses for being lower than a car where it stands.
-_COST_OF_LOWNESS = 3
+SHIPPED_DETECTOR = Path(__file__).parents[2] / "param/detector.npz"
 
 
 @dataclass(frozen=True)
@@ -58,16 +37,16 @@ class Detections:
     proposals : ndarray of float, shape (n, 4)
         Windows of the first stage, in pixels of the frame as read, like all boxes.
     candidates : ndarray of float, shape (m, 4)
-        Where the closer look has moved the tracks of the frame before, vehicles
-        out of sight, and the proposals that are not near a track; without what is
-        implausible or part of a better one.
-    candidate_scores, candidate_evidence : ndarray of float, shape (m,)
-        Decision function of each, less what it costs to be lower than a car where
-        it stands; evidence of the track it belongs to, 0 for none.
+        Refined predictions and proposals that passed the selection.
+    candidate_scores : ndarray of float, shape (m,)
+        Decision function of each, less the cost of its height deficit.
+    track_scores : ndarray of float, shape (m,)
+        Accumulated score of the track of each candidate, 0 for none.
     boxes : ndarray of int, shape (k, 4)
+        Vehicles.
     scores : ndarray of float, shape (k,)
-        As of the candidates; 0 for a vehicle that has no box in this frame, and is
-        shown where it is expected.
+        As of the candidates; 0 for a vehicle without a box in this frame, which is shown
+        where it is expected.
     ids : ndarray of int, shape (k,)
         Identity of each vehicle, from 1, the same in every frame.
     """
@@ -75,56 +54,59 @@ class Detections:
     proposals: np.ndarray
     candidates: np.ndarray
     candidate_scores: np.ndarray
-    candidate_evidence: np.ndarray
+    track_scores: np.ndarray
     boxes: np.ndarray
     scores: np.ndarray
     ids: np.ndarray
 
 
-class Vehicle(Viewer):
+class TwoStageVehicle(Viewer):
     """Finds vehicles in the frames of one video, handed over in order.
 
-    Frames are searched as the camera gave them. A calibration straightens
-    only the picture that is drawn: undistorting before the search would cut
-    off vehicles that enter at the border.
+    Frames are searched as the camera gave them. A calibration straightens only the picture
+    that is drawn: undistorting before would cut off vehicles that enter at the border.
 
     Parameters
     ----------
     path_calib : path or None
-        Calibration of `calibrate.py`; None draws on the frame as it is.
-    path_param : path
-        Detector of `train_detector.py`.
+        Calibration file; None draws on the frame as it is.
+    path_param : path or Detector
+        File of `two_stage.training`, or what it holds.
     scan : ScanParams
     track_params : TrackParams
-        How candidates of one frame go on with those of the frames before, and
-        how much evidence makes a vehicle of them.
+    selection : SelectionParams
+    road_params : RoadParams
     """
 
-    titles = ("windows of the first stage", "moved and scored", "evidence", "vehicles")
+    titles = ("proposals", "refined, with scores", "accumulated scores", "vehicles")
 
     def __init__(
         self,
         path_calib=None,
-        path_param="param/detector.npz",
+        path_param=SHIPPED_DETECTOR,
         scan=DEFAULT_SCAN,
         track_params=DEFAULT_TRACKS,
+        selection=DEFAULT_SELECTION,
+        road_params=DEFAULT_ROAD,
     ):
         super().__init__(path_calib)
         self.scan = scan
         self.track_params = track_params
+        self.selection = selection
+        self.road_params = road_params
         self.load_param_detect(path_param)
 
     def load_param_detect(self, path):
-        """Read a detector, see `detector.load_detector`; forgets all frames."""
-        self.detector = load_detector(path)
+        """Take a detector, or the path of one; forgets all frames."""
+        self.detector = path if hasattr(path, "scorer") else load_detector(path)
         self.reset()
 
     def reset(self):
         """Forget all frames: the next one begins another video."""
-        super().reset()
+        self._frame_shape = None
+        self._n_frames = 0
         self._tracker = Tracker(self.track_params)
-        # Boxes of whole cars of late: they tell where the road is.
-        self._seen = np.empty((0, 4))
+        self._memory = RoadMemory(self.road_params)
 
     def detect(self, rgb_frame):
         """Search the next frame of the video.
@@ -132,6 +114,7 @@ class Vehicle(Viewer):
         Parameters
         ----------
         rgb_frame : ndarray of uint8, shape (rows, columns, 3)
+            RGB.
 
         Returns
         -------
@@ -140,68 +123,80 @@ class Vehicle(Viewer):
         Raises
         ------
         ValueError
-            The frame is of another size than the one before, or too small.
+            The frame is of another size than the one before, or too small for any window.
         """
-        self._require_same_size(rgb_frame)
-        road = fit_road(self._seen) if len(self._seen) > _ENOUGH_SEEN else None
-        proposals = self._propose(rgb_frame, road)
+        require_same_size(rgb_frame, self._frame_shape)
+        self._frame_shape = rgb_frame.shape
+        levels = self._next_levels()
+        proposals, _ = propose(rgb_frame, levels, self.detector.templates, self.scan)
+        candidates = merge(self._predicted(), proposals, self.selection.same_iou)
+        candidates = refine(rgb_frame, candidates, self.detector, self.selection.discard_below)
+        candidates = self._select(candidates)
+        tracks = self._tracker.update(candidates.boxes, candidates.scores, rgb_frame.shape[1])
+        seen = stack_boxes([track.box for track in tracks if track and track.is_confirmed])
+        self._memory.learn(seen[self._are_whole_cars(seen)])
+        return self._detections(proposals, candidates, tracks)
+
+    def _next_levels(self):
+        """A group of levels in turn; all of them in the first frame."""
+        rows, columns = self._frame_shape[:2]
+        scan = self.scan if self._n_frames else replace(self.scan, n_groups=1)
+        where = reach(self._memory.road(rows), rows, self.road_params)
+        groups = level_groups((rows, columns), scan, where)
         self._n_frames += 1
-        expected = self._on_frame(self._tracker.predict())
-        absent = self._tracker.absent()
-        absent = self._on_frame(np.concatenate([absent, move_edges(absent, _SMALLER)]))
-        fresh = pairwise_iou(proposals, expected).max(axis=1, initial=0) < _SAME_IOU
-        looked_at = np.concatenate([expected, absent, proposals[fresh]])
-        boxes, scores = look_closer(rgb_frame, looked_at, self.detector)
-        plausible = are_plausible(boxes, rgb_frame.shape, self.scan)
-        plausible &= stand_on_road(boxes, road or usual_road(len(rgb_frame)), len(rgb_frame))
-        if road is not None:
-            # Of what the border cuts, only the bonnet may be in sight.
-            whole = 1 - margins_outside(boxes, rgb_frame.shape).max(axis=1)
-            scores = scores - _COST_OF_LOWNESS * whole * lowness(boxes, road, len(rgb_frame))
-        trusted = scores + _TRUST_IN_TRACKS * (np.arange(len(boxes)) < len(expected))
-        plausible = np.flatnonzero(plausible)
-        kept = plausible[keep_wholes(boxes[plausible], trusted[plausible])]
-        return self._follow(proposals, boxes[kept], scores[kept])
+        return groups[(self._n_frames - 1) % len(groups)]
 
-    def _on_frame(self, boxes):
-        """Boxes cut at the frame's border, without those that cannot be vehicles there."""
-        rows, columns = self._frame_shape[:2]
-        # Truth ends where the frame ends, and so does what was learned from it.
-        boxes = np.clip(boxes, 0, (columns, rows, columns, rows))
-        return boxes[are_plausible(boxes, self._frame_shape, self.scan)]
+    def _predicted(self):
+        """Predictions of the tracks, cut at the border of the frame like the truth."""
+        boxes = clip_to_frame(self._tracker.predict(), self._frame_shape)
+        return boxes[are_plausible(boxes, self._frame_shape, self.scan, self.selection)]
 
-    def _propose(self, rgb_frame, road):
-        """Proposals of a group of levels, of all of them in the first frame."""
-        scan = self.scan
-        if self._n_frames == 0:
-            scan = replace(scan, n_groups=1)
-        if road is not None:
-            scan = near_horizon(scan, road.horizon / len(rgb_frame), road.camera_to_car)
-        groups = level_groups(rgb_frame.shape[:2], scan)
-        levels = groups[self._n_frames % len(groups)]
-        return propose(rgb_frame, levels, self.detector.templates, scan)[0]
+    def _select(self, candidates):
+        """The candidates of possible shape and place that are in conflict with no better one.
 
-    def _follow(self, proposals, candidates, scores):
-        """Hand the candidates of a frame to the tracks; vehicles are those with evidence."""
-        tracks = self._tracker.update(candidates, scores, self._frame_shape[1])
-        evidence = np.array([track.evidence if track else 0 for track in tracks])
-        shown = [i for i, track in enumerate(tracks) if track and track.is_shown]
-        seen = np.array([tracks[i].box for i in shown]).reshape(-1, 4)
-        bridged = [track for track in self._tracker.bridged() if self._may_be_at(track.box, seen)]
-        vehicles = [tracks[i] for i in shown] + bridged
-        vehicle_scores = np.concatenate([scores[shown], np.zeros(len(bridged))])
-        rows, columns = self._frame_shape[:2]
-        boxes = np.array([track.box for track in vehicles]).reshape(-1, 4)
-        whole_cars = seen[are_whole_cars(seen, self._frame_shape)]
-        self._seen = np.concatenate([self._seen, whole_cars])[-_MOST_SEEN:]
-        boxes = np.clip(np.rint(boxes), 0, (columns, rows, columns, rows)).astype(int)
-        ids = np.array([track.identity for track in vehicles], int)
-        return Detections(proposals, candidates, scores, evidence, boxes, vehicle_scores, ids)
+        Selected twice: what remains at first tells where the road is.
+        """
+        boxes, n_rows = candidates.boxes, self._frame_shape[0]
+        possible = are_plausible(boxes, self._frame_shape, self.scan, self.selection)
+        candidates = candidates.only(possible)
+        first = self._suppress(self._penalise(candidates, self._memory.road(n_rows)))
+        whole = first.only(self._are_whole_cars(first.boxes))
+        road = self._memory.road(n_rows, whole.boxes, np.clip(whole.scores, 0, 1))
+        return self._suppress(self._penalise(candidates, road))
 
-    def _may_be_at(self, box, seen):
-        """Whether a vehicle without a box may be where it is expected, beside those seen."""
-        plausible = are_plausible(box[None], self._frame_shape, self.scan)[0]
-        return plausible and not are_rivals(box[None], seen).any()
+    def _penalise(self, candidates, road):
+        """Candidates that lose score where no vehicle can stand."""
+        boxes, params = candidates.boxes, self.road_params
+        # A vehicle that the lower border cuts stands lower than it seems to.
+        is_seen = 1 - margins_outside(boxes, self._frame_shape)[:, 3]
+        cost = params.cost * is_seen * misplacement(boxes, road, params) ** 2 / 2
+        return replace(candidates, scores=candidates.scores - cost)
+
+    def _suppress(self, candidates):
+        rank = candidates.scores + self.selection.track_bonus * candidates.is_tracked
+        return candidates.only(non_max_suppression(candidates.boxes, rank, self.selection))
+
+    def _are_whole_cars(self, boxes):
+        """Which boxes tell where the road is."""
+        width, height = (boxes[:, 2:] - boxes[:, :2]).T
+        whole = (margins_outside(boxes, self._frame_shape) < 1).all(axis=1)
+        return whole & (width > self.selection.whole_car_aspect * height)
+
+    def _detections(self, proposals, candidates, tracks):
+        """Vehicles are the confirmed tracks, with a box in this frame or without."""
+        seen = [i for i, track in enumerate(tracks) if track and track.is_confirmed]
+        coasting = self._tracker.coasting_tracks()
+        vehicles = [tracks[i] for i in seen] + coasting
+        boxes = clip_to_frame(stack_boxes([track.box for track in vehicles]), self._frame_shape)
+        return Detections(
+            proposals,
+            candidates.boxes,
+            candidates.scores,
+            track_scores=np.array([track.score if track else 0 for track in tracks]),
+            boxes=np.rint(boxes).astype(int),
+            scores=np.concatenate([candidates.scores[seen], np.zeros(len(coasting))]),
+            ids=np.array([track.identity for track in vehicles], int),
+        )
 
     def step_pictures(self, rgb_frame, detections):
         """What `titles` name, each drawn on the frame.
@@ -210,53 +205,13 @@ class Vehicle(Viewer):
         -------
         pictures : list of four ndarray of uint8, shape (rows, columns, 3)
         """
-        candidates, evidence = detections.candidates, detections.candidate_evidence
-        followed = evidence > 0
-        birth = self.track_params.birth
+        candidates, scores = detections.candidates, detections.track_scores
+        tracked = scores > 0
+        confirm_at = self.track_params.confirm_at
         pictures = [
             draw_boxes(rgb_frame, detections.proposals, thickness=2),
             draw_rated(rgb_frame, candidates, detections.candidate_scores, 0),
-            draw_rated(rgb_frame, candidates[followed], evidence[followed], birth),
+            draw_rated(rgb_frame, candidates[tracked], scores[tracked], confirm_at),
             draw_vehicles(rgb_frame, detections.boxes, detections.ids),
         ]
         return [self.undistort(picture) for picture in pictures]
-
-
-def are_whole_cars(boxes, frame_shape):
-    """Which vehicles tell where the road is: wider than high, and not cut by the border.
-
-    Lorries and vans, as high as wide or higher, would be taken for nearer cars.
-
-    Parameters
-    ----------
-    boxes : ndarray of float, shape (n, 4)
-    frame_shape : (rows, columns, ...)
-
-    Returns
-    -------
-    whole_cars : ndarray of bool, shape (n,)
-    """
-    width, height = (boxes[:, 2:] - boxes[:, :2]).T
-    return (width > 1.1 * height) & (margins_outside(boxes, frame_shape) < 1).all(axis=1)
-
-
-def draw_rated(img, boxes, values, threshold):
-    """Boxes with a number each: green from the threshold on, red below.
-
-    Parameters
-    ----------
-    img : ndarray of uint8, shape (rows, columns, 3)
-        RGB.
-    boxes : ndarray, shape (n, 4)
-    values : ndarray of float, shape (n,)
-    threshold : float
-    """
-    img = img.copy()
-    font_scale = img.shape[0] / 900
-    for (left, top, right, bottom), value in zip(boxes.round().astype(int), values, strict=True):
-        color = (0, 200, 0) if value >= threshold else (255, 60, 60)
-        cv2.rectangle(img, (left, top), (right - 1, bottom - 1), color, 2)
-        place = left, max(top - 4, round(20 * font_scale))
-        font = cv2.FONT_HERSHEY_SIMPLEX
-        cv2.putText(img, f"{value:.1f}", place, font, font_scale, color, 2, cv2.LINE_AA)
-    return img

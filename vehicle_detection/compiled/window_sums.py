@@ -1,0 +1,111 @@
+"""Sums over the windows of an image, compiled.
+
+What neighbouring windows share is read in place instead of being copied for each of them.
+"""
+
+import numpy as np
+from numba import njit
+
+from vehicle_detection.compiled.threads import share
+
+_COMPILE = dict(cache=True, nogil=True, error_model="numpy")
+# Several terms of a sum at once: no order of them is the right one.
+_SUMS = {"reassoc", "contract", "nsz"}
+# Products that take longer than waking a thread.
+_WORTH_A_THREAD = 800_000
+
+
+@njit(**_COMPILE)
+def tile_histograms(channel, bin_of_value, n_bins, tile):
+    """Histogram of the pixel values of every square tile of a channel.
+
+    Parameters
+    ----------
+    channel : ndarray of uint8, shape (rows, columns)
+    bin_of_value : ndarray of int64, shape (256,)
+        Bin of every pixel value, -1 for none.
+    n_bins, tile : int
+        Number of bins; side of a tile in pixels.
+
+    Returns
+    -------
+    histograms : ndarray of int32, shape (rows // tile, columns // tile, n_bins)
+    """
+    tile_rows = channel.shape[0] // tile
+    tile_columns = channel.shape[1] // tile
+    histograms = np.zeros((tile_rows, tile_columns, n_bins), np.int32)
+    for row in range(tile_rows * tile):
+        tiles = histograms[row // tile]
+        for tile_column in range(tile_columns):
+            for column in range(tile_column * tile, (tile_column + 1) * tile):
+                k = bin_of_value[channel[row, column]]
+                if k >= 0:
+                    tiles[tile_column, k] += 1
+    return histograms
+
+
+def correlate(cells, weights, step, shape):
+    """Sums of the products of weights with the cells of every window.
+
+    Parameters
+    ----------
+    cells : ndarray, shape (rows, columns, depth)
+        C-contiguous.
+    weights : ndarray of float32, shape (window rows, window columns, depth)
+        C-contiguous; all windows must lie within the cells.
+    step : int
+        Between neighbouring windows, in cells.
+    shape : (int, int)
+        How many windows lie one under another, and side by side.
+
+    Returns
+    -------
+    sums : ndarray of float32, of that shape
+
+    Raises
+    ------
+    ValueError
+        A window would lie outside; the weights are of another depth.
+    """
+    if cells.shape[2] != weights.shape[2]:
+        raise ValueError(f"weights of {weights.shape} for cells of {cells.shape}")
+    reach = [step * (n - 1) + side for n, side in zip(shape, weights.shape, strict=False)]
+    if min(shape) > 0 and (reach[0] > cells.shape[0] or reach[1] > cells.shape[1]):
+        raise ValueError(f"windows reach {reach}, cells are {cells.shape}")
+    sums = np.empty(shape, np.float32)
+    n_parts = 1 + sums.size * weights.size // _WORTH_A_THREAD
+    share(lambda *rows: _correlate(cells, weights, step, *rows, sums), shape[0], n_parts)
+    return sums
+
+
+@njit(**_COMPILE, fastmath=_SUMS)
+def _correlate(cells, weights, step, first, last, sums):
+    """`correlate` for the window rows first..last.
+
+    Four windows at a time share each weight that is read. At the end of a row, where
+    fewer are left, the last is taken again.
+    """
+    _, columns, depth = cells.shape
+    rows, width, _ = weights.shape
+    runs = cells.reshape(-1, columns * depth)
+    own_runs = weights.reshape(rows, width * depth)
+    n_windows, length, stride = sums.shape[1], width * depth, step * depth
+    zero = np.float32(0)
+    for i in range(first, last):
+        for k0 in range(0, n_windows, 4):
+            k1, k2, k3 = (
+                min(k0 + 1, n_windows - 1), min(k0 + 2, n_windows - 1), min(k0 + 3, n_windows - 1),
+            )  # fmt: skip
+            a, b, c, d = zero, zero, zero, zero
+            for row in range(rows):
+                run, own = runs[i * step + row], own_runs[row]
+                of_a = run[k0 * stride : k0 * stride + length]
+                of_b = run[k1 * stride : k1 * stride + length]
+                of_c = run[k2 * stride : k2 * stride + length]
+                of_d = run[k3 * stride : k3 * stride + length]
+                for n in range(length):
+                    a += np.float32(of_a[n]) * own[n]
+                    b += np.float32(of_b[n]) * own[n]
+                    c += np.float32(of_c[n]) * own[n]
+                    d += np.float32(of_d[n]) * own[n]
+            sums[i, k0], sums[i, k1], sums[i, k2], sums[i, k3] = a, b, c, d

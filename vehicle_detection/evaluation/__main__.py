@@ -1,0 +1,47 @@
+"""Hold detections against the truth.
+
+python -m vehicle_detection.evaluation TRUTH DETECTIONS [--frames A:B[:STEP]] [--json]
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from vehicle_detection.evaluation.metrics import evaluate
+from vehicle_detection.evaluation.plots import draw_evaluation, table
+from vehicle_detection.media.files import written_whole
+from vehicle_detection.media.mot import all_frames, frame_range, read_rows
+
+
+def main():
+    """Run the command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m vehicle_detection.evaluation",
+        description="Hold detections against the truth.",
+    )
+    parser.add_argument("truth", type=Path, help="MOTChallenge rows, conf 0 to ignore")
+    parser.add_argument("detections", type=Path, help="MOTChallenge rows of detect.py")
+    parser.add_argument("--frames", metavar="A:B[:STEP]", help="both included")
+    parser.add_argument("--iou", type=float, default=0.5, help="of a match, default: 0.5")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.add_argument("--picture", type=Path, help="png to write curve and timeline to")
+    arguments = parser.parse_args()
+    try:
+        if not 0 < arguments.iou <= 1:
+            raise ValueError(f"--iou lies between 0 and 1, not at {arguments.iou}")
+        truth, detections = read_rows(arguments.truth), read_rows(arguments.detections)
+        asked_for = arguments.frames
+        frames = frame_range(asked_for) if asked_for else all_frames(truth, detections)
+        figures = evaluate(truth, detections, frames, arguments.iou)
+        print(json.dumps(figures, indent=1) if arguments.json else table(figures))
+        if arguments.picture:
+            figure = draw_evaluation(truth, detections, frames, arguments.iou)
+            with written_whole(arguments.picture) as partial:
+                figure.savefig(partial, dpi=90)
+    except (OSError, ValueError) as error:
+        sys.exit(f"error: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,104 @@
+"""Boxes, heat and titles drawn on copies of a frame. Images and colours are RGB."""
+
+from colorsys import hsv_to_rgb
+
+import cv2
+import numpy as np
+
+
+def draw_boxes(img, boxes, color=(0, 0, 255), thickness=4):
+    """A copy of the image with boxes on it.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        RGB.
+    boxes : ndarray of int, shape (n, 4)
+    color : tuple of int
+        RGB.
+    thickness : int
+        In pixels.
+    """
+    img = img.copy()
+    for left, top, right, bottom in np.asarray(boxes, int).reshape(-1, 4).tolist():
+        cv2.rectangle(img, (left, top), (right - 1, bottom - 1), color, thickness)
+    return img
+
+
+def identity_color(identity):
+    """A bright RGB colour for a vehicle's number, far from those of its neighbours."""
+    # Steps of the golden ratio around the circle of hues stay far from all recent ones.
+    hue = identity * 0.6180339887 % 1
+    return tuple(round(255 * value) for value in hsv_to_rgb(hue, 0.85, 1.0))
+
+
+def draw_vehicles(img, boxes, ids, thickness=4):
+    """A copy of the image with every vehicle boxed and numbered in the colour of its identity.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        RGB.
+    boxes : ndarray of int, shape (n, 4)
+    ids : ndarray of int, shape (n,)
+    thickness : int
+        In pixels.
+    """
+    img = img.copy()
+    font_scale = img.shape[0] / 600
+    for (left, top, right, bottom), identity in zip(boxes.tolist(), ids.tolist(), strict=True):
+        color = identity_color(identity)
+        cv2.rectangle(img, (left, top), (right - 1, bottom - 1), color, thickness)
+        # Above the box, or inside it where that would leave the picture.
+        place = left, max(top - 2 * thickness, round(22 * font_scale))
+        font = cv2.FONT_HERSHEY_SIMPLEX
+        cv2.putText(img, str(identity), place, font, font_scale, color, 2, cv2.LINE_AA)
+    return img
+
+
+def draw_rated(img, boxes, values, threshold):
+    """Boxes with a number each: green from the threshold on, red below.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        RGB.
+    boxes : ndarray, shape (n, 4)
+    values : ndarray of float, shape (n,)
+    threshold : float
+    """
+    img = img.copy()
+    font_scale = img.shape[0] / 900
+    for (left, top, right, bottom), value in zip(boxes.round().astype(int), values, strict=True):
+        color = (0, 200, 0) if value >= threshold else (255, 60, 60)
+        cv2.rectangle(img, (left, top), (right - 1, bottom - 1), color, 2)
+        place = left, max(top - 4, round(20 * font_scale))
+        font = cv2.FONT_HERSHEY_SIMPLEX
+        cv2.putText(img, f"{value:.1f}", place, font, font_scale, color, 2, cv2.LINE_AA)
+    return img
+
+
+def draw_heat(img, heatmap, full_scale):
+    """The image darkened, with heat glowing on it.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        RGB.
+    heatmap : ndarray, shape (rows, columns)
+    full_scale : float
+        Heat that is drawn at its brightest.
+    """
+    level = np.clip(255 * heatmap / full_scale, 0, 255).astype(np.uint8)
+    glow = cv2.applyColorMap(level, cv2.COLORMAP_HOT)[..., ::-1]
+    return cv2.addWeighted(img, 0.4, glow, 0.9, 0)
+
+
+def draw_title(img, title):
+    """The image with a line of text at its top left."""
+    size = img.shape[0] / 500
+    place = round(20 * size), round(30 * size)
+    for color, shift in (((0, 0, 0), 1), ((255, 255, 255), 0)):
+        where = place[0] + shift, place[1] + shift
+        img = cv2.putText(img, title, where, cv2.FONT_HERSHEY_SIMPLEX, size, color, 1, cv2.LINE_AA)
+    return img

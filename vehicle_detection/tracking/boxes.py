@@ -1,0 +1,44 @@
+"""Geometry of boxes: left, top, right, bottom in pixels, arrays of shape (n, 4)."""
+
+import numpy as np
+
+
+def box_heights(boxes):
+    """Heights of boxes, shape (n,)."""
+    return boxes[:, 3] - boxes[:, 1]
+
+
+def box_areas(boxes):
+    """Areas of boxes, shape (n,)."""
+    return (boxes[:, 2:] - boxes[:, :2]).prod(axis=1)
+
+
+def pairwise_overlap(boxes, others):
+    """Intersection of every box with every other, in square pixels, shape (n, m)."""
+    low = np.maximum(boxes[:, None, :2], others[None, :, :2])
+    high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
+    return np.clip(high - low, 0, None).prod(axis=2)
+
+
+def pairwise_iou(boxes, others):
+    """Intersection over union of every box with every other, shape (n, m)."""
+    common = pairwise_overlap(boxes, others)
+    areas, other_areas = (box_areas(b) for b in (boxes, others))
+    union = areas[:, None] + other_areas[None] - common
+    return np.divide(common, union, out=np.zeros_like(common, float), where=union > 0)
+
+
+def best_iou(boxes, others):
+    """Largest IoU of each box with any other, 0 where there is no other; shape (n,)."""
+    return pairwise_iou(boxes, others).max(axis=1, initial=0)
+
+
+def clip_to_frame(boxes, frame_shape):
+    """The part of each box that lies within a frame of (rows, columns, ...)."""
+    rows, columns = frame_shape[:2]
+    return np.clip(boxes, 0, (columns, rows, columns, rows))
+
+
+def stack_boxes(boxes):
+    """A list of single boxes as one array of shape (n, 4), also if the list is empty."""
+    return np.array(boxes, float).reshape(-1, 4)

@@ -1,0 +1,329 @@
+"""Features of the second stage: a box and its margin as a patch, described cell by cell.
+
+frame, boxes -> patches -> planes of luma and chroma -> cells -> feature vectors
+
+A patch shows a box as 8 x 8 cells with a margin of one cell around it. Frames and patches
+are RGB, uint8. Boxes are float arrays of shape (n, 4): left, top, right, bottom in pixels of
+the frame.
+"""
+
+import cv2
+import numpy as np
+
+from vehicle_detection.compiled.hog import cell_histograms
+
+# These numbers are part of the format of the parameter file.
+ORIENTATIONS = 9
+PATCH_CELLS = 8
+PATCH_MARGIN = 1
+# Side of a cell in pixels of the patch; even, because chroma is halved.
+PATCH_CELL = 6
+PATCH_SIDE = PATCH_CELLS + 2 * PATCH_MARGIN
+# HOG of the luma, mean colour.
+CELL_FEATURES = ORIENTATIONS + 3
+# HOG of the chroma tells where edges are. The scorer does without: with it, vehicles of a
+# camera that was not learned from score low.
+CHROMA_FEATURES = 2 * ORIENTATIONS
+# Left, top, right, bottom: how much of the margin is outside of the frame.
+N_BORDERS = 4
+N_SCORER_FEATURES = PATCH_CELLS**2 * CELL_FEATURES + N_BORDERS
+N_REGRESSOR_FEATURES = PATCH_SIDE**2 * (CELL_FEATURES + CHROMA_FEATURES) + N_BORDERS
+_INNER = slice(PATCH_MARGIN, PATCH_MARGIN + PATCH_CELLS)
+
+# Length of a histogram without gradients, in roots of grey levels.
+_LEAST_LENGTH = np.float32(1e-3)
+# Spread of the luma of a plain box, as a share of white.
+_LEAST_SPREAD = np.float32(0.03)
+
+
+def cell_lengths(histograms):
+    """Euclidean length of the histogram of every cell, shape (..., orientations) to (...)."""
+    return np.sqrt(np.einsum("...o,...o->...", histograms, histograms))
+
+
+def normalise_cells(histograms, lengths, around):
+    """Cells by the root of the squares of their own length and of the mean length around them.
+
+    Blocks that are brought to unit length [1]_ show what noise there is in a plain
+    cell as large as the edges of a vehicle. Here it stays small.
+
+    Parameters
+    ----------
+    histograms : ndarray of float32, shape (..., orientations)
+        See `dense_hog.cell_histograms`.
+    lengths, around : ndarray of float32, shape (...)
+        See `cell_lengths`; `around` may be broadcast.
+
+    Returns
+    -------
+    normalised : ndarray of float32, shape (..., orientations)
+        0.7 long for a cell as long as those around it, at most 1.
+
+    References
+    ----------
+    .. [1] N. Dalal and B. Triggs, "Histograms of Oriented Gradients for Human
+           Detection", CVPR 2005.
+    """
+    scale = 1 / np.sqrt(lengths**2 + around**2 + _LEAST_LENGTH**2)
+    return histograms * scale[..., None]
+
+
+def cut_out(img, box, size):
+    """A box of the frame, resized; outside of the frame its edge goes on.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+    box : sequence of int
+        Left, top, right, bottom.
+    size : (columns, rows)
+
+    Returns
+    -------
+    cut : ndarray of uint8, shape (*size[::-1], 3)
+    """
+    left, top, right, bottom = box
+    rows, above, below = _overlap(top, bottom, img.shape[0])
+    columns, before, behind = _overlap(left, right, img.shape[1])
+    inside = img[rows, columns]
+    if above or below or before or behind:
+        inside = cv2.copyMakeBorder(inside, above, below, before, behind, cv2.BORDER_REPLICATE)
+    return cv2.resize(inside, size, interpolation=cv2.INTER_LINEAR)
+
+
+def _overlap(start, stop, length):
+    """What of start..stop lies within 0..length, at least one; how many before and behind."""
+    first = min(max(start, 0), length - 1)
+    last = max(min(stop, length), first + 1)
+    before = min(max(-start, 0), stop - start - 1)
+    return slice(first, last), before, stop - start - before - (last - first)
+
+
+def on_whole_pixels(boxes):
+    """Boxes moved by less than a pixel, so that with their margins they end between pixels.
+
+    Parameters
+    ----------
+    boxes : ndarray of float, shape (n, 4)
+
+    Returns
+    -------
+    boxes : ndarray of float, shape (n, 4)
+    """
+    return _without_margins(_with_margins(boxes))
+
+
+def _with_margins(boxes):
+    """Boxes with their margins, shape (n, 4), int."""
+    aside = PATCH_MARGIN / PATCH_CELLS * (boxes[:, 2:] - boxes[:, :2])
+    low = np.rint(boxes[:, :2] - aside)
+    high = np.maximum(np.rint(boxes[:, 2:] + aside), low + 1)
+    return np.hstack([low, high]).astype(int)
+
+
+def _without_margins(boxes):
+    aside = PATCH_MARGIN / PATCH_SIDE * (boxes[:, 2:] - boxes[:, :2])
+    return np.hstack([boxes[:, :2] + aside, boxes[:, 2:] - aside])
+
+
+def cut_patches(img, boxes):
+    """Every box and its margin, in one size.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        RGB.
+    boxes : ndarray of float, shape (n, 4)
+
+    Returns
+    -------
+    patches : ndarray of uint8, shape (n, PATCH_SIDE * PATCH_CELL, PATCH_SIDE * PATCH_CELL, 3)
+        RGB.
+    """
+    size = PATCH_SIDE * PATCH_CELL, PATCH_SIDE * PATCH_CELL
+    patches = np.empty((len(boxes), *size, 3), np.uint8)
+    for patch, box in zip(patches, _with_margins(boxes).tolist(), strict=True):
+        patch[:] = cut_out(img, box, size)
+    return patches
+
+
+def luma_and_chroma(patches):
+    """Every patch in YCrCb, channel by channel.
+
+    Parameters
+    ----------
+    patches : ndarray of uint8, shape (n, rows, columns, 3)
+        RGB.
+
+    Returns
+    -------
+    planes : ndarray of uint8, shape (3, n, rows, columns)
+        Luma and two of chroma.
+    """
+    n, rows, columns, _ = patches.shape
+    planes = np.empty((3, n, rows, columns), np.uint8)
+    if n:
+        # One below the other, they are one image.
+        whole = cv2.cvtColor(patches.reshape(n * rows, columns, 3), cv2.COLOR_RGB2YCrCb)
+        cv2.split(whole, list(planes.reshape(3, n * rows, columns)))
+    return planes
+
+
+def patch_features(planes):
+    """HOG of the luma and relative colours of the cells of every patch.
+
+    Of HOG the square roots are taken, as of SIFT [1]_: otherwise the distance of two
+    patches would be that of their strongest edges, and the faint ones would not count.
+
+    Parameters
+    ----------
+    planes : ndarray of uint8, shape (3, n, rows, columns)
+        Of patches, see `luma_and_chroma`.
+
+    Returns
+    -------
+    features : ndarray of float32, shape (n, PATCH_SIDE, PATCH_SIDE, CELL_FEATURES)
+    contrast : ndarray of float32, shape (n,)
+        Mean of `cell_lengths` of the luma.
+
+    References
+    ----------
+    .. [1] R. Arandjelovic and A. Zisserman, "Three things everyone should know to
+           improve object retrieval", CVPR 2012.
+    """
+    features = np.empty((planes.shape[1], PATCH_SIDE, PATCH_SIDE, CELL_FEATURES), np.float32)
+    histograms = _patch_histograms(planes[:1])[0]
+    lengths = cell_lengths(histograms)
+    contrast = lengths.mean(axis=(1, 2))
+    around = contrast[:, None, None]
+    features[..., :ORIENTATIONS] = np.sqrt(normalise_cells(histograms, lengths, around))
+    features[..., ORIENTATIONS:] = relative_colors(planes)
+    return features, contrast
+
+
+def chroma_features(planes, contrast):
+    """Square roots of HOG of the chroma of the cells of every patch, at half its size.
+
+    Videos hold no more of the chroma than that.
+
+    Parameters
+    ----------
+    planes : ndarray of uint8, shape (3, n, rows, columns)
+        Of patches, see `luma_and_chroma`.
+    contrast : ndarray of float32, shape (n,)
+        Of the luma, see `patch_features`: faint as chroma is by itself, it is noise.
+
+    Returns
+    -------
+    features : ndarray of float32, shape (n, PATCH_SIDE, PATCH_SIDE, CHROMA_FEATURES)
+    """
+    histograms = _patch_histograms(_halved(planes[1:]))
+    around = contrast[:, None, None]
+    channels = [normalise_cells(own, cell_lengths(own), around) for own in histograms]
+    return np.sqrt(np.concatenate(channels, axis=-1))
+
+
+def _halved(planes):
+    """Planes at half their size, shape (channels, n, rows / 2, columns / 2)."""
+    n_channels, n, rows, columns = planes.shape
+    halved = np.empty((n_channels, n, rows // 2, columns // 2), np.uint8)
+    if n:
+        # One below the other, they are one image.
+        whole, size = planes.reshape(-1, columns), (columns // 2, n_channels * n * rows // 2)
+        cv2.resize(whole, size, halved.reshape(-1, columns // 2), interpolation=cv2.INTER_AREA)
+    return halved
+
+
+def _patch_histograms(planes):
+    """`dense_hog.cell_histograms` of planes, shape (channels, n, side, side, orientations)."""
+    n_channels, n, rows, columns = planes.shape
+    shape = n_channels, n, PATCH_SIDE, PATCH_SIDE, ORIENTATIONS
+    if not n:
+        return np.empty(shape, np.float32)
+    # All patches are the channels of one image, for a pass of HOG has its price.
+    channels = planes.reshape(-1, rows, columns).transpose(1, 2, 0)
+    return cell_histograms(channels, ORIENTATIONS, rows // PATCH_SIDE).reshape(shape)
+
+
+def relative_colors(planes):
+    """Mean colours of cells, less that of the box; the luma by its spread over the box.
+
+    How bright a camera shows a vehicle, in what colour of light and behind what haze,
+    says nothing of what it is.
+
+    Parameters
+    ----------
+    planes : ndarray of uint8, shape (3, n, rows, columns)
+        Of patches, see `luma_and_chroma`.
+
+    Returns
+    -------
+    colors : ndarray of float32, shape (n, PATCH_SIDE, PATCH_SIDE, 3)
+        The luma in standard deviations of the cells of the box, the chroma as shares
+        of 255.
+    """
+    _, n, rows, columns = planes.shape
+    if not n:
+        return np.empty((0, PATCH_SIDE, PATCH_SIDE, 3), np.float32)
+    below_each_other = planes.reshape(3 * n * rows, columns)
+    size = PATCH_SIDE, 3 * n * PATCH_SIDE
+    means = cv2.resize(below_each_other, size, interpolation=cv2.INTER_AREA)
+    means = means.reshape(3, n, PATCH_SIDE, PATCH_SIDE) * np.float32(1 / 255)
+    inner = means[:, :, _INNER, _INNER]
+    means -= inner.mean(axis=(2, 3), keepdims=True)
+    variance = (inner[0] ** 2).mean(axis=(1, 2), keepdims=True)
+    means[0] /= np.sqrt(variance + _LEAST_SPREAD**2)
+    return means.transpose(1, 2, 3, 0)
+
+
+def margins_outside(boxes, frame_shape):
+    """How much of the margin on each side of a box lies outside of the frame.
+
+    Half a car that ends where the frame ends is a vehicle that enters; half a
+    car anywhere else is a part of one.
+
+    Parameters
+    ----------
+    boxes : ndarray of float, shape (n, 4)
+    frame_shape : (rows, columns, ...)
+
+    Returns
+    -------
+    shares : ndarray of float32, shape (n, N_BORDERS)
+        Left, top, right, bottom; from 0 to 1.
+    """
+    rows, columns = frame_shape[:2]
+    margin = PATCH_MARGIN / PATCH_CELLS * (boxes[:, 2:] - boxes[:, :2])
+    to_border = np.hstack([boxes[:, :2], (columns, rows) - boxes[:, 2:]])
+    within = to_border / np.maximum(np.hstack([margin, margin]), 1e-9)
+    return np.clip(1 - within, 0, 1).astype(np.float32)
+
+
+def scorer_features(features, outside):
+    """What tells vehicles: boxes without margins, and `margins_outside`.
+
+    Shape (n, N_SCORER_FEATURES).
+    """
+    cells = features[:, _INNER, _INNER].reshape(-1, N_SCORER_FEATURES - N_BORDERS)
+    return np.hstack([cells, outside])
+
+
+def regressor_features(features, chroma, outside):
+    """What tells edges: boxes with their margins, HOG of the chroma too, and `margins_outside`.
+
+    Shape (n, N_REGRESSOR_FEATURES).
+    """
+    cells = np.concatenate([features, chroma], axis=-1)
+    return np.hstack([cells.reshape(-1, N_REGRESSOR_FEATURES - N_BORDERS), outside])
+
+
+def describe_for_scorer(planes, outside):
+    """`scorer_features` of patches, from `luma_and_chroma` and `margins_outside`."""
+    cells, _ = patch_features(planes)
+    return scorer_features(cells, outside)
+
+
+def describe_for_regressor(planes, outside):
+    """`regressor_features` of patches, from `luma_and_chroma` and `margins_outside`."""
+    cells, contrast = patch_features(planes)
+    return regressor_features(cells, chroma_features(planes, contrast), outside)

@@ -1,0 +1,197 @@
+"""First stage: linear SVMs score windows of four shapes; the best are proposals.
+
+frame -> levels -> cells -> window scores -> proposals
+
+A level is the frame at one scale, described by cells of 4 x 4 pixels: HOG of the luma and the
+mean colour. Windows are 8 cells high and of four widths.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from vehicle_detection.compiled.hog import cell_histograms
+from vehicle_detection.compiled.threads import side_by_side
+from vehicle_detection.compiled.window_sums import correlate
+from vehicle_detection.two_stage.features import (
+    CELL_FEATURES,
+    ORIENTATIONS,
+    cell_lengths,
+    normalise_cells,
+)
+
+# Windows in cells: lorries are higher than wide, cars from the side twice as wide as high.
+WINDOW_ROWS = 8
+WINDOW_COLUMNS = (6, 8, 11, 16)
+# Side of a cell, in pixels of the level.
+WINDOW_CELL = 4
+# A cell is normalised by the mean energy of so many cells each way.
+SURROUNDINGS = 9
+# Suppression compares each box with each: only so many of the best.
+_MOST_BOXES = 400
+
+
+@dataclass(frozen=True)
+class Level:
+    """Rows `top` to `bottom` of the frame, to be resized to `rows` x `columns` pixels."""
+
+    top: int
+    bottom: int
+    rows: int
+    columns: int
+
+
+@lru_cache(maxsize=16)
+def level_groups(frame_shape, scan, reach):
+    """The levels of a frame, in groups of about equal size.
+
+    Parameters
+    ----------
+    frame_shape : (rows, columns)
+    scan : ScanParams
+    reach : Reach
+        Where vehicles can stand: only these rows are scanned.
+
+    Returns
+    -------
+    groups : list of list of Level
+
+    Raises
+    ------
+    ValueError
+        No window fits the frame.
+    """
+    height, width = frame_shape[:2]
+    side, levels = scan.smallest * width / scan.reference_width, []
+    unit = scan.cells_per_step * WINDOW_CELL
+    while side <= scan.largest * width / scan.reference_width:
+        # Whole steps, so that the last windows end where the frame ends, or a cell
+        # before: vehicles enter at its edges.
+        scale = side / (WINDOW_ROWS * WINDOW_CELL)
+        bottom = min(height, int(reach.horizon[1] + reach.ratio[1] * side))
+        top = max(0, reach.horizon[0] + (reach.ratio[0] - 1) * side)
+        rows = round((bottom - top) / scale / unit) * unit
+        columns = round(width / scale / unit) * unit
+        if min(rows, columns) >= WINDOW_ROWS * WINDOW_CELL:
+            levels.append(Level(max(0, round(bottom - rows * scale)), bottom, rows, columns))
+        side *= scan.ratio
+    if not levels:
+        raise ValueError(f"no window fits a frame of {width}x{height}: use a larger picture")
+    groups = [[] for _ in range(min(scan.n_groups, len(levels)))]
+    for level in levels:
+        smallest = min(groups, key=lambda group: sum(one.rows * one.columns for one in group))
+        smallest.append(level)
+    return groups
+
+
+def cell_features(img):
+    """HOG of the luma and mean colour of every cell of an image.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        RGB.
+
+    Returns
+    -------
+    features : ndarray of float32, shape (cell rows, cell columns, CELL_FEATURES)
+    """
+    img = cv2.cvtColor(img, cv2.COLOR_RGB2YCrCb)
+    histograms = cell_histograms(img[..., :1], ORIENTATIONS, WINDOW_CELL)[0]
+    rows, columns, _ = histograms.shape
+    lengths = cell_lengths(histograms)
+    size = SURROUNDINGS, SURROUNDINGS
+    around = cv2.blur(lengths, size, borderType=cv2.BORDER_REFLECT)
+    features = np.empty((rows, columns, CELL_FEATURES), np.float32)
+    features[:, :, :ORIENTATIONS] = normalise_cells(histograms, lengths, around)
+    whole = img[: rows * WINDOW_CELL, : columns * WINDOW_CELL]
+    means = cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA)
+    np.multiply(means, np.float32(1 / 255), out=features[:, :, ORIENTATIONS:])
+    return features
+
+
+def window_scores(features, template, step):
+    """Decision function of the windows at every so many cells.
+
+    Parameters
+    ----------
+    features : ndarray of float32, shape (rows, columns, CELL_FEATURES)
+    template : Template
+    step : int
+        In cells.
+
+    Returns
+    -------
+    scores : ndarray of float32, shape (window rows, window columns)
+        Empty if no window fits.
+    """
+    sides = zip(features.shape, template.weights.shape[:2], strict=False)
+    shape = [max(0, (side - length) // step + 1) for side, length in sides]
+    return correlate(features, template.weights, step, shape) + np.float32(template.bias)
+
+
+def propose(img, levels, templates, scan):
+    """The best windows of some levels.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        RGB.
+    levels : list of Level
+    templates : tuple of Template
+    scan : ScanParams
+
+    Returns
+    -------
+    boxes : ndarray of float, shape (n, 4)
+    scores : ndarray of float32, shape (n,)
+        Best first.
+    """
+    found = side_by_side(lambda level: _propose_on_level(img, level, templates, scan), levels)
+    boxes, scores = map(np.concatenate, zip(*found, strict=True))
+    best = suppress(boxes, scores, scan.overlap)
+    return boxes[best], scores[best]
+
+
+def _propose_on_level(img, level, templates, scan):
+    """The best windows of one level, as `propose`."""
+    boxes, scores = [], []
+    strip = img[level.top : level.bottom]
+    size = level.columns, level.rows
+    features = cell_features(cv2.resize(strip, size, interpolation=cv2.INTER_LINEAR))
+    # Size of a cell in the frame; columns and rows were rounded each on their own.
+    x, y = WINDOW_CELL * strip.shape[1] / size[0], WINDOW_CELL * strip.shape[0] / size[1]
+    for template in templates:
+        rows, columns, _ = template.weights.shape
+        level_scores = window_scores(features, template, scan.cells_per_step)
+        hot = np.nonzero(level_scores > scan.threshold)
+        scores.append(level_scores[hot])
+        row, column = np.multiply(hot, scan.cells_per_step)
+        corners = np.stack([column, row, column + columns, row + rows], axis=1)
+        boxes.append(corners * (x, y, x, y) + (0, level.top, 0, level.top))
+    boxes, scores = np.concatenate(boxes), np.concatenate(scores)
+    best = suppress(boxes, scores, scan.overlap)
+    best = best[: scan.n_proposals]
+    return boxes[best], scores[best]
+
+
+def suppress(boxes, scores, overlap):
+    """Non-maximum suppression: indices of what stays, best first.
+
+    Parameters
+    ----------
+    boxes : ndarray, shape (n, 4)
+    scores : ndarray, shape (n,)
+    overlap : float
+        A box goes if its IoU with a better one is above this, or if it is not
+        among the best 400.
+    """
+    if not len(boxes):
+        return np.empty(0, int)
+    sizes = np.hstack([boxes[:, :2], boxes[:, 2:] - boxes[:, :2]]).astype(float)
+    # OpenCV takes no threshold below zero.
+    above_zero = (scores - scores.min() + 1).astype(np.float32)
+    best = cv2.dnn.NMSBoxes(sizes, above_zero, 0.0, overlap, top_k=_MOST_BOXES)
+    return np.asarray(best, int)

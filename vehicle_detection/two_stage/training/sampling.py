@@ -1,0 +1,69 @@
+"""Boxes to learn from: vehicles with moved edges, parts of vehicles, what lies beside them."""
+
+import numpy as np
+
+from vehicle_detection.tracking.boxes import best_iou, box_areas, pairwise_overlap
+from vehicle_detection.two_stage.refinement import move_edges
+
+# Of the edges of a box, in widths and heights: how far a window of the first stage, and how
+# far a proposal may be off.
+WINDOW_JITTER = 0.03
+_PROPOSAL_JITTERS = (0.04, 0.1, 0.1)
+_LEAST_PART = 0.3
+_FARTHEST_NEIGHBOUR = 1.5
+_MOST_CUT = 0.55
+
+
+def jittered(boxes, spread, rng):
+    """Boxes with every edge moved at random by about `spread` of the size."""
+    shifts = np.clip(rng.normal(0, spread, boxes.shape), -2 * spread, 2 * spread)
+    return move_edges(boxes, shifts)
+
+
+def with_moved_edges(boxes, rng):
+    """Each box three times, its edges moved at random, once by little."""
+    return np.concatenate([jittered(boxes, spread, rng) for spread in _PROPOSAL_JITTERS])
+
+
+def random_parts(boxes, rng):
+    """A part of each box, three tenths to all of its width and height."""
+    size = boxes[:, 2:] - boxes[:, :2]
+    part = size * rng.uniform(_LEAST_PART, 1, size.shape)
+    corner = boxes[:, :2] + (size - part) * rng.uniform(0, 1, size.shape)
+    return np.hstack([corner, corner + part])
+
+
+def neighbours(boxes, rng):
+    """A place on or around each box, where tracks that go astray end up."""
+    size = boxes[:, 2:] - boxes[:, :2]
+    aside = size * rng.uniform(-_FARTHEST_NEIGHBOUR, _FARTHEST_NEIGHBOUR, size.shape)
+    return boxes + np.hstack([aside, aside])
+
+
+def is_background(windows, boxes, iou, covered):
+    """Which windows overlap every box by less than an IoU and by less than a share of theirs."""
+    if not len(boxes):
+        return np.ones(len(windows), bool)
+    share = pairwise_overlap(windows, boxes) / box_areas(windows)[:, None]
+    return (best_iou(windows, boxes) < iou) & (share.max(axis=1) < covered)
+
+
+def cut_by_border(box, rng):
+    """What is left of a box that a border of the frame cuts, on a side at random.
+
+    Parameters
+    ----------
+    box : ndarray of float, shape (4,)
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    box : ndarray of float, shape (4,)
+    outside : ndarray of float, shape (4,)
+        See `features.margins_outside`.
+    """
+    side = rng.integers(4)
+    box, outside = box.copy(), np.zeros(4)
+    box[side] += rng.uniform(0, _MOST_CUT) * (box[(side + 2) % 4] - box[side])
+    outside[side] = 1
+    return box, outside

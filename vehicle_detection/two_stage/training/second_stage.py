@@ -1,0 +1,197 @@
+"""Training of the second stage: patches of vehicles and of everything else."""
+
+from functools import partial
+
+import numpy as np
+from tqdm.auto import tqdm
+
+from vehicle_detection.compiled.threads import in_parallel
+from vehicle_detection.parameters import ScanParams
+from vehicle_detection.tracking.boxes import best_iou, pairwise_iou
+from vehicle_detection.two_stage.features import (
+    N_BORDERS,
+    cut_patches,
+    describe_for_regressor,
+    describe_for_scorer,
+    luma_and_chroma,
+    margins_outside,
+    on_whole_pixels,
+)
+from vehicle_detection.two_stage.refinement import move_edges
+from vehicle_detection.two_stage.training.augmentation import (
+    degrade,
+    random_camera,
+    random_crop,
+)
+from vehicle_detection.two_stage.training.first_stage import proposals_of
+from vehicle_detection.two_stage.training.footage import with_generators
+from vehicle_detection.two_stage.training.kernel_machines import fit_regressor, fit_scorer
+from vehicle_detection.two_stage.training.sampling import (
+    cut_by_border,
+    is_background,
+    neighbours,
+    random_parts,
+    with_moved_edges,
+)
+
+CANDIDATE_SCAN = ScanParams(
+    threshold=-1.0, cells_per_step=1, n_groups=1, n_proposals=4, overlap=0.6
+)
+
+
+def candidates(img, boxes, required, templates, rng):
+    """Proposals of a frame and its vehicles with edges moved at random.
+
+    Those that may be neither vehicle nor background are left out.
+
+    Returns
+    -------
+    windows : ndarray of float, shape (n, 4)
+    """
+    windows = proposals_of(img, templates, CANDIDATE_SCAN)
+    vehicles = boxes[required]
+    moved = with_moved_edges(vehicles, rng)
+    parts = [random_parts(vehicles, rng) for _ in range(2)]
+    windows = np.concatenate([windows, moved, *parts, neighbours(vehicles, rng)])
+    clear = is_background(windows, boxes[~required], 0.3, 0.5)
+    return windows[clear | (best_iou(windows, vehicles) > 0.5)]
+
+
+def edge_samples(item, templates, params):
+    """Patches around the vehicles of a frame, and the shifts of their edges.
+
+    Parameters
+    ----------
+    item : (Example, numpy.random.Generator)
+    templates : tuple of Template
+    params : TrainingParams
+
+    Returns
+    -------
+    features : ndarray of float16, shape (n, n_features)
+    shifts : ndarray of float, shape (n, 4)
+        In widths and heights of the patch's box.
+    """
+    example, rng = item
+    img, boxes, required = random_camera(example, rng)
+    windows = candidates(img, boxes, required, templates, rng)
+    return _edges(img, windows, boxes[required], (np.ones(N_BORDERS), params), rng)
+
+
+def crop_edge_samples(item, params):
+    """As `edge_samples`, of a vehicle that was cut out of a frame with a margin."""
+    example, rng = item
+    img, boxes, required = random_camera(example, rng)
+    # What cut the vehicle may as well have been the end of the frame; beyond a margin it goes on.
+    ends = (margins_outside(boxes, img.shape) == 1).any(axis=0)
+    return _edges(img, with_moved_edges(boxes[required], rng), boxes[required], (ends, params), rng)
+
+
+def _edges(img, windows, vehicles, ends_and_params, rng):
+    """Windows around vehicles as `edge_samples`; ends are 0 on sides where no frame ends."""
+    ends, params = ends_and_params
+    windows = on_whole_pixels(windows[best_iou(windows, vehicles) > params.background_iou])
+    own = np.empty((0, 4))
+    if len(windows):
+        own = vehicles[pairwise_iou(windows, vehicles).argmax(axis=1)]
+    size = np.tile(windows[:, 2:] - windows[:, :2], 2)
+    outside = margins_outside(windows, img.shape) * ends
+    planes = luma_and_chroma(degrade(cut_patches(img, windows), rng))
+    return describe_for_regressor(planes, outside).astype(np.float16), (own - windows) / size
+
+
+def train_regressor(training_set, templates, seed, jobs, params):
+    """From patches around vehicles to the shifts of their edges, a KernelMachine."""
+    items = with_generators(training_set.examples, seed, 4)
+    crops = with_generators(params.crop_views * training_set.boxed_crops, seed, 9)
+    of_frames = partial(edge_samples, templates=templates, params=params)
+    of_crops = partial(crop_edge_samples, params=params)
+    found = [
+        *in_parallel(of_frames, items, jobs, "edges"),
+        *in_parallel(of_crops, crops, jobs, "boxed crops"),
+    ]
+    features, shifts = map(np.concatenate, zip(*found, strict=True))
+    print(f"edges: {len(features)} patches")
+    return fit_regressor(features, shifts, np.random.default_rng([seed, 5]), params)
+
+
+def patch_samples(item, machines, params):
+    """Patches of a frame where the regressor has moved them, vehicles and background.
+
+    Parameters
+    ----------
+    item : (Example, numpy.random.Generator)
+    machines : (templates, regressor, scorer)
+        With a scorer, what it is already sure of, and right, is left out; it may be None.
+    params : TrainingParams
+
+    Returns
+    -------
+    features : ndarray of float16, shape (n, n_features)
+    labels : ndarray of int, shape (n,)
+    """
+    example, rng = item
+    templates, regressor, scorer = machines
+    img, boxes, required = random_camera(example, rng)
+    windows = on_whole_pixels(candidates(img, boxes, required, templates, rng))
+    planes = luma_and_chroma(cut_patches(img, windows))
+    features = describe_for_regressor(planes, margins_outside(windows, img.shape))
+    windows = on_whole_pixels(move_edges(windows, regressor.predict(features)))
+    iou = best_iou(windows, boxes[required])
+    # A part of a vehicle is none, or it would be found beside the whole.
+    is_other = (iou < params.background_iou) & is_background(windows, boxes[~required], 0.3, 0.5)
+    clear = (iou > params.vehicle_iou) | is_other
+    windows, labels = windows[clear], (iou[clear] > params.vehicle_iou).astype(int)
+    planes = luma_and_chroma(degrade(cut_patches(img, windows), rng))
+    features = describe_for_scorer(planes, margins_outside(windows, img.shape))
+    if scorer is not None:
+        hard = scorer.predict(features)[:, 0] * (2 * labels - 1) < params.sure_score
+        features, labels = features[hard], labels[hard]
+    return features.astype(np.float16), labels
+
+
+def crop_patches(training_set, rng, params):
+    """Yield patches of the training set's images, as `patch_samples`.
+
+    Each is taken whole, as if it were cut by the frame's border, and, of vehicles, in parts
+    that are none.
+    """
+    labeled = [(path, 1) for path in 2 * (training_set.crops + training_set.square_crops)]
+    labeled += [(path, 0) for path in training_set.non_vehicles]
+    for path, label in tqdm(labeled, "crops", unit="image"):
+        img = random_crop(path, rng)
+        whole = np.array([0.0, 0.0, len(img), len(img)])
+        cut, outside = cut_by_border(whole, rng)
+        parts = random_parts(np.tile(whole, (2 * label, 1)), rng)
+        parts = parts[best_iou(parts, whole[None]) < params.background_iou]
+        boxes = np.concatenate([[whole, cut], parts])
+        all_outside = np.zeros((len(boxes), N_BORDERS))
+        all_outside[1] = outside
+        planes = luma_and_chroma(degrade(cut_patches(img, boxes), rng))
+        features = describe_for_scorer(planes, all_outside).astype(np.float16)
+        yield features, np.array([label, label, *np.zeros(len(parts), int)])
+
+
+def train_scorer(training_set, machines, seed, jobs, params):
+    """From patches to vehicle or not, a KernelMachine, with one round of hard patches.
+
+    Parameters
+    ----------
+    training_set : TrainingSet
+    machines : (templates, regressor)
+    seed, jobs : int
+    params : TrainingParams
+
+    Returns
+    -------
+    scorer : KernelMachine
+    """
+    samples = list(crop_patches(training_set, np.random.default_rng([seed, 6]), params))
+    scorer = None
+    for mining in range(2):
+        items = with_generators(training_set.examples, seed, 7, mining)
+        find = partial(patch_samples, machines=(*machines, scorer), params=params)
+        samples += in_parallel(find, items, jobs, "patches")
+        features, labels = map(np.concatenate, zip(*samples, strict=True))
+        scorer = fit_scorer(features, labels, np.random.default_rng([seed, 8]), params)
+    return scorer
