@@ -9,9 +9,14 @@ from hypothesis import settings
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC, LinearSVC
 
-from vehicle_detection.classifier import Classifier
-from vehicle_detection.parameters import FEATURE_PRESETS
-from vehicle_detection.two_stage.features import CELL_FEATURES, N_ALL_FEATURES, N_INNER_FEATURES
+from vehicle_detection.classifier import Classifier, save_classifier
+from vehicle_detection.media.videos import VideoInfo, video_writer
+from vehicle_detection.parameters import FEATURE_PRESETS, FeatureParams
+from vehicle_detection.two_stage.features import (
+    CELL_FEATURES,
+    N_REGRESSOR_FEATURES,
+    N_SCORER_FEATURES,
+)
 from vehicle_detection.two_stage.model import Detector, KernelMachine, Template
 from vehicle_detection.two_stage.proposals import WINDOW_COLUMNS, WINDOW_ROWS
 
@@ -81,4 +86,44 @@ def random_detector(seed):
         Template(rng.normal(0, 0.05, (WINDOW_ROWS, columns, CELL_FEATURES)).astype(np.float32), 0.0)
         for columns in WINDOW_COLUMNS
     )
-    return Detector(templates, machine(N_INNER_FEATURES, 1, 1.0), machine(N_ALL_FEATURES, 4, 0.02))
+    return Detector(
+        templates, machine(N_SCORER_FEATURES, 1, 1.0), machine(N_REGRESSOR_FEATURES, 4, 0.02)
+    )
+
+
+def moving_frames(count, rows=180, columns=320):
+    """Noise with a bright patch that wanders to the right."""
+    ground = textured_image(0, rows, columns) // 2
+    for i in range(count):
+        frame = ground.copy()
+        frame[110:150, 40 + 6 * i : 100 + 6 * i] = (250, 240, 60)
+        yield frame
+
+
+def write_video(path, frames, fps=25):
+    frames = list(frames)
+    rows, columns = frames[0].shape[:2]
+    with video_writer(path, VideoInfo(columns, rows, fps, len(frames))) as write:
+        for frame in frames:
+            write(frame)
+    return path
+
+
+@pytest.fixture
+def param(tmp_path):
+    """Parameter file of a classifier with random weights; about half of all windows are hot."""
+    path = tmp_path / "svc.p"
+    save_classifier(random_classifier(FeatureParams(spatial_color="HLS", hist_color="RGB")), path)
+    return path
+
+
+def random_boxes(rng, count, extent=200):
+    """Boxes of 5 to 90 pixels a side, within about `extent` pixels."""
+    corner = rng.uniform(0, extent, size=(count, 2))
+    return np.hstack([corner, corner + rng.uniform(5, 90, size=(count, 2))])
+
+
+def lengths_and_units(cells):
+    """Lengths of histograms, and the histograms at unit length."""
+    lengths = np.linalg.norm(cells, axis=-1)
+    return lengths, cells / np.maximum(lengths, 1e-9)[..., None]

@@ -40,27 +40,36 @@ def run(*arguments):
 
 def test_train_writes_what_it_reports(data, tmp_path):
     out = tmp_path / "param" / "svc.p"
-    result = run(data / "vehicles", data / "non-vehicles", "--out", out)
+    result = run(data, "--out", out)
     assert result.returncode == 0, result.stderr
-    assert "accuracy: 1.0000 on 24 images" in result.stdout
+    # On whole ends of the folders, and on images at random.
+    assert result.stdout.count("accuracy: 1.0000 on 24 images") == 2
+    assert result.stdout.splitlines()[-1] == f"try it: python detect.py --method G --param {out}"
     classifier = load_classifier(out)
     assert classifier.params == FEATURE_PRESETS["G"]
     assert classifier.data_counts == {"vehicles": 60, "non-vehicles": 60}
     assert classifier.scaler.n_samples_seen_ == 96
     again = tmp_path / "again.p"
-    assert run(data / "vehicles", data / "non-vehicles", "--out", again).returncode == 0
+    assert run(data, "--out", again).returncode == 0
     np.testing.assert_array_equal(load_classifier(again).svm.coef_, classifier.svm.coef_)
 
 
 def test_scaler_never_sees_the_test_part(data):
-    arguments = train.parse_arguments([str(data / "vehicles"), str(data / "non-vehicles")])
     params = FeatureParams(hist_color="RGB", hist_bins=4)
-    vehicles = sorted((data / "vehicles").rglob("*.png"))
-    others = sorted((data / "non-vehicles").rglob("*.png"))
-    classifier = train.train(vehicles, others, params, arguments)
-    everything = extract_features(read_windows(vehicles + others, 64), params)
+    training_set = training_images.load_training_set(data)
+    classifier = train.train(training_set, params, train.parse_arguments([str(data)]))
+    everything = extract_features(training_set.images, params)
     assert classifier.scaler.n_samples_seen_ == 0.8 * len(everything)
     assert not np.allclose(classifier.scaler.mean_, everything.mean(axis=0))
+
+
+def test_data_is_taken_where_it_is(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert train.find_data(tmp_path / "given") == tmp_path / "given"
+    (tmp_path / "output/sample/vehicles").mkdir(parents=True)
+    assert train.find_data() == train.SAMPLE
+    (tmp_path / "data/vehicles").mkdir(parents=True)
+    assert train.find_data() == train.DATA
 
 
 def test_grid_search_picks_a_kernel(capsys):
@@ -110,9 +119,9 @@ def test_an_unreadable_image_is_named(data, tmp_path, short_runs, place):
 @pytest.mark.parametrize("missing", ["vehicles", "non-vehicles"])
 def test_a_class_without_images_is_named(data, tmp_path, missing):
     (tmp_path / missing).mkdir()
-    folders = {name: data / name for name in ("vehicles", "non-vehicles")}
-    folders[missing] = tmp_path / missing
-    result = run(*folders.values(), "--out", tmp_path / "svc.p")
+    (other,) = {"vehicles", "non-vehicles"} - {missing}
+    (tmp_path / other).symlink_to(data / other)
+    result = run(tmp_path, "--out", tmp_path / "svc.p")
     assert result.returncode == 1
     assert result.stderr.splitlines()[-1].startswith(f"error: {tmp_path / missing}: no png")
     assert not (tmp_path / "svc.p").exists()

@@ -334,6 +334,8 @@ class RoadParams:
         Height of the highest lorry, some four metres, by that of a car.
     most_witnesses : float
         Cars that count for independent, together: many boxes are of the same car.
+    witness_from : float
+        Score from which a box of the frame counts as a car, fully so from one more on.
     most_cars : int
         Boxes that are remembered.
     n_std, step : float
@@ -349,6 +351,7 @@ class RoadParams:
     spread: float = 0.2
     lorry_to_car: float = 3
     most_witnesses: float = 20
+    witness_from: float = 0.5
     most_cars: int = 500
     n_std: float = 2
     step: float = 0.02

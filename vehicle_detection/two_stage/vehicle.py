@@ -161,7 +161,8 @@ class TwoStageVehicle(Viewer):
         candidates = candidates.only(possible)
         first = self._suppress(self._penalise(candidates, self._memory.road(n_rows)))
         whole = first.only(self._are_whole_cars(first.boxes))
-        road = self._memory.road(n_rows, whole.boxes, np.clip(whole.scores, 0, 1))
+        weights = np.clip(whole.scores - self.road_params.witness_from, 0, 1)
+        road = self._memory.road(n_rows, whole.boxes, weights)
         return self._suppress(self._penalise(candidates, road))
 
     def _penalise(self, candidates, road):

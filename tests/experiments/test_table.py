@@ -9,23 +9,25 @@ import numpy as np
 import pytest
 
 from conftest import ROOT, textured_image
+from experiments import table
 from experiments.table import (
-    Dataset,
     feature_params,
-    honest_split,
-    load_dataset,
     markdown,
     read_configurations,
     read_results,
     run_all,
     run_configuration,
-    runs,
     workers,
 )
-from experiments.table import table as experiments
 from vehicle_detection.media.images import write_image
+from vehicle_detection.media.training_images import (
+    TrainingImages,
+    hold_out_ends,
+    load_training_set,
+    runs_of,
+)
 
-CONFIGURATIONS = read_configurations(ROOT / "results/configurations.csv")
+CONFIGURATIONS = read_configurations(ROOT / "experiments/results/configurations.csv")
 
 
 def small_dataset():
@@ -37,7 +39,7 @@ def small_dataset():
             img[20:30, 8:56] = img[44:50, 8:56] = rng.integers(150, 255, 3)
         images.append(img)
     labels = np.repeat([1, 0], 30)
-    return Dataset(np.array(images), labels, np.repeat([0, 1, 2], 20))
+    return TrainingImages(np.array(images), labels, np.repeat([0, 1, 2], 20))
 
 
 def figures_of(row):
@@ -55,8 +57,8 @@ def test_published_feature_counts():
     assert [c["id"] for c in CONFIGURATIONS] == [str(i) for i in range(1, 24)]
 
 
-def test_honest_split_holds_out_whole_ends():
-    held_out = honest_split(np.repeat([0, 1], [10, 20]))
+def test_the_ends_split_holds_out_whole_ends():
+    held_out = hold_out_ends(np.repeat([0, 1], [10, 20]))
     expected = np.zeros(30, bool)
     expected[8:10] = expected[26:30] = True
     np.testing.assert_array_equal(held_out, expected)
@@ -64,7 +66,7 @@ def test_honest_split_holds_out_whole_ends():
 
 def test_runs_are_neighbours_of_one_source():
     sources = np.repeat([0, 1, 0], [150, 50, 60])
-    numbers = runs(sources)
+    numbers = runs_of(sources)
     for number in np.unique(numbers):
         members = np.flatnonzero(numbers == number)
         assert len(set(sources[members])) == 1 and len(members) <= 100
@@ -77,7 +79,7 @@ def test_dataset_is_in_the_order_of_the_numbers(tmp_path):
         for number in (10, 9, 1):
             img = np.full((64, 64, 3), number, np.uint8)
             write_image(tmp_path / name / f"image{number}.png", img)
-    dataset = load_dataset(tmp_path)
+    dataset = load_training_set(tmp_path)
     assert dataset.images[:, 0, 0, 0].tolist() == [1, 9, 10] * 3
     assert dataset.labels.tolist() == [1] * 6 + [0] * 3
     assert len(set(dataset.sources[:3])) == 1 and len(set(dataset.sources)) == 3
@@ -112,8 +114,8 @@ def test_row_of_a_configuration(tmp_path):
     assert row["id"] == "10" and row["features"] == 768
     assert float(row["accuracy"]) > 0.6 and 0 <= float(row["honest_accuracy"]) <= 1
     rest = dict.fromkeys(("recall", "precision", "false_positives_per_frame"), "0.5")
-    table = markdown(CONFIGURATIONS, {"10": row | rest, "5": row | rest | {"id": "5"}})
-    lines = table.splitlines()
+    text = markdown(CONFIGURATIONS, {"10": row | rest, "5": row | rest | {"id": "5"}})
+    lines = text.splitlines()
     assert len(lines) == 4 and len({line.count("|") for line in lines}) == 1
     assert "768 (published 5264: cannot be)" in lines[2]
 
@@ -161,7 +163,7 @@ def test_killed_worker_loses_nothing(cluster, tmp_path, monkeypatch):
     notes = tmp_path / "notes"
     notes.mkdir()
     killed = []
-    write_results = experiments.write_results
+    write_results = table.write_results
 
     def kill_after_first_result(path, results):
         write_results(path, results)
@@ -172,7 +174,7 @@ def test_killed_worker_loses_nothing(cluster, tmp_path, monkeypatch):
             if killed:
                 os.kill(int(killed[0]), signal.SIGKILL)
 
-    monkeypatch.setattr(experiments, "write_results", kill_after_first_result)
+    monkeypatch.setattr(table, "write_results", kill_after_first_result)
     with workers(cluster.scheduler_address, -1, [dataset]):
         results = run_all(
             chosen, tmp_path / "r.csv", slow_configuration, (dataset, str(notes)), wanted

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from functools import partial
 
 import cv2
 import numpy as np
@@ -14,41 +15,57 @@ from pipeline_functions import convert_color
 from rendered_road.render import render
 from rendered_road.sample import random_scene, truth_rows
 from vehicle_detection.evaluation.metrics import evaluate
-from vehicle_detection.media.images import write_image
-from vehicle_detection.media.mot import read_rows
+from vehicle_detection.media.images import find_images, read_image, write_image
+from vehicle_detection.media.mot import read_rows, rows_of
 from vehicle_detection.media.videos import VideoInfo, video_writer
-from vehicle_detection.parameters import STILL_SCAN, STILL_TRACKS
-from vehicle_detection.tracking.boxes import pairwise_iou, pairwise_overlap
-from vehicle_detection.two_stage.features import N_ALL_FEATURES, margins_outside, on_whole_pixels
-from vehicle_detection.two_stage.model import load_detector
+from vehicle_detection.parameters import (
+    DEFAULT_TRAINING,
+    STILL_SCAN,
+    STILL_TRACKS,
+    TrainingParams,
+)
+from vehicle_detection.tracking.boxes import best_iou, pairwise_iou, pairwise_overlap
+from vehicle_detection.two_stage.features import (
+    N_REGRESSOR_FEATURES,
+    margins_outside,
+    on_whole_pixels,
+)
 from vehicle_detection.two_stage.proposals import WINDOW_CELL, WINDOW_ROWS, cell_features
-from vehicle_detection.two_stage.training import (
-    Example,
-    TrainingSet,
-    best_iou,
-    cluster_centers,
-    crop_edge_samples,
-    cut_by_border,
-    fit_regressor,
-    fit_scorer,
-    fit_template,
-    is_nothing,
-    jittered,
+from vehicle_detection.two_stage.training import second_stage
+from vehicle_detection.two_stage.training.__main__ import train_detector
+from vehicle_detection.two_stage.training.augmentation import (
+    cut_frame,
+    degrade,
     mirrored,
-    narrowed,
-    neighbours,
     random_camera,
     random_crop,
-    random_parts,
-    read_boxed_crops,
-    read_footage,
-    steepest_directions,
-    train_regressor,
-    window_features,
-    worn,
 )
-from vehicle_detection.two_stage.training import training as train_detector
-from vehicle_detection.two_stage.vehicle import Vehicle
+from vehicle_detection.two_stage.training.first_stage import fit_template, window_features
+from vehicle_detection.two_stage.training.footage import (
+    Example,
+    TrainingSet,
+    balanced,
+    read_boxed_crops,
+    read_cameras,
+    read_footage,
+)
+from vehicle_detection.two_stage.training.kernel_machines import (
+    cluster_centers,
+    fit_regressor,
+    fit_scorer,
+    steepest_directions,
+)
+from vehicle_detection.two_stage.training.sampling import (
+    cut_by_border,
+    is_background,
+    jittered,
+    neighbours,
+    random_parts,
+)
+from vehicle_detection.two_stage.training.second_stage import crop_edge_samples, train_regressor
+from vehicle_detection.two_stage.vehicle import TwoStageVehicle
+
+TRAIN = [sys.executable, "-m", "vehicle_detection.two_stage.training"]
 
 
 def boxes_of(seed, count, width=320, height=180):
@@ -99,9 +116,9 @@ def test_what_enters_teaches_before_it_is_required(tmp_path):
     np.testing.assert_allclose(example.visibility, [0.4, 0.3, 0.4, 0, 0, 1])
     assert example.required.tolist() == [False] * 5 + [True]
     # A seed that leaves the frame as it is.
-    rng = np.random.default_rng(4)
-    seen, boxes, vehicles = random_camera(example, rng)
-    np.testing.assert_array_equal(seen, img)
+    seeds = map(np.random.default_rng, range(500))
+    views = (random_camera(example, rng) for rng in seeds)
+    vehicles = next(own for seen, _, own in views if np.array_equal(seen, img))
     assert vehicles.tolist() == [True, False, False, False, False, True]
 
 
@@ -130,13 +147,43 @@ def test_a_mirrored_box_holds_the_mirrored_pixels():
     np.testing.assert_array_equal(mirrored(flipped, box[None])[1], boxes)
 
 
-def test_a_narrower_frame_shows_less_of_what_it_cuts():
+def test_a_frame_that_is_cut_shows_less_of_what_it_cuts():
     boxes = np.array([(0.0, 0, 40, 20), (30, 0, 90, 20), (45, 0, 65, 20), (60, 0, 90, 20)])
     visibility = np.array([1, 0.75, 0.5, 1])
-    img, cut, left_over = narrowed(textured_image(0, 40, 100), boxes, visibility, 0.5)
-    assert img.shape == (40, 50, 3)
-    np.testing.assert_array_equal(cut, [(0, 0, 40, 20), (30, 0, 50, 20), (45, 0, 50, 20)])
+    img = textured_image(0, 40, 100)
+    cut, inside, left_over = cut_frame(img, boxes, visibility, np.array([0, 0, 0.5, 0]))
+    np.testing.assert_array_equal(cut, img[:, :50])
+    np.testing.assert_array_equal(inside, [(0, 0, 40, 20), (30, 0, 50, 20), (45, 0, 50, 20)])
     np.testing.assert_allclose(left_over, [1, 0.25, 0.125])
+    # A corner: a tenth of the columns and a quarter of the rows.
+    cut, inside, left_over = cut_frame(img, boxes, visibility, np.array([0.1, 0.25, 0, 0]))
+    np.testing.assert_array_equal(cut, img[10:, 10:])
+    np.testing.assert_array_equal(inside[:2], [(0, 0, 30, 10), (20, 0, 80, 10)])
+    np.testing.assert_allclose(left_over, [0.375, 0.375, 0.25, 0.5])
+
+
+@pytest.mark.parametrize(("count", "wanted"), [(3, 6), (10, 10), (40, 10)])
+def test_cameras_are_balanced(count, wanted):
+    params = TrainingParams(per_camera=10, most_repeats=2)
+    examples = [Example(n, np.empty((0, 4)), np.empty(0, bool), np.empty(0)) for n in range(count)]
+    sources = [example.source for example in balanced(examples, params)]
+    assert len(sources) == wanted
+    assert set(sources) == set(range(count)) if count <= 10 else sources == list(range(0, 40, 4))
+
+
+def test_cameras_are_read_from_a_list(tmp_path):
+    path = tmp_path / "cameras.csv"
+    path.write_text("camera,footage,truth,frames\na,x,t,1:9\na,y,t,\nb,z,u,\n")
+    cameras = read_cameras(path, without=["b"])
+    assert [part.path for part in cameras["a"]] == ["x", "y"] and list(cameras) == ["a"]
+    assert cameras["a"][0].frames == "1:9"
+    with pytest.raises(ValueError, match="no camera c"):
+        read_cameras(path, without=["c"])
+    path.write_text("camera,footage\na,x\n")
+    with pytest.raises(ValueError, match=r"cameras\.csv: no column"):
+        read_cameras(path)
+    with pytest.raises(FileNotFoundError, match="no such list"):
+        read_cameras(tmp_path / "gone.csv")
 
 
 @settings(max_examples=40)
@@ -145,28 +192,33 @@ def test_any_camera_sees_the_vehicle_in_its_box(seed):
     frame = np.full((180, 320, 3), 128, np.uint8)
     frame[60:120, 120:200] = (255, 255, 0)
     example = Example(frame, np.array([(120.0, 60, 200, 120)]), np.array([True]), np.ones(1))
-    img, boxes, required = random_camera(example, np.random.default_rng(seed))
-    assert img.dtype == np.uint8 and img.shape[1] <= 320
-    assert len(boxes) == 1
-    for (left, top, right, bottom), wanted in zip(boxes.round().astype(int), required, strict=True):
-        assert wanted
+    img, boxes, vehicles = random_camera(example, np.random.default_rng(seed))
+    assert img.dtype == np.uint8 and img.shape[1] <= 320 and len(boxes) <= 1
+    for left, top, right, bottom in boxes[vehicles].round().astype(int):
         outside = np.ones(img.shape[:2], bool)
         outside[max(0, top - 3) : bottom + 3, max(0, left - 3) : right + 3] = False
-        img = convert_color(img, "YCrCb")
-        inside = img[top + 4 : bottom - 4, left + 4 : right - 4].reshape(-1, 3)
-        rest = img[outside]
+        converted = convert_color(img, "YCrCb")
+        inside = converted[top + 4 : bottom - 4, left + 4 : right - 4].reshape(-1, 3)
+        rest = converted[outside]
         # Yellow is poor in blue chroma, and gray has none, even when colours are faint.
         assert inside[:, 2].mean() < rest[:, 2].mean() - 5
 
 
+def test_most_cameras_see_the_vehicle():
+    frame = np.zeros((180, 320, 3), np.uint8)
+    example = Example(frame, np.array([(120.0, 60, 200, 120)]), np.array([True]), np.ones(1))
+    seen = [random_camera(example, np.random.default_rng(seed))[2].any() for seed in range(200)]
+    assert np.mean(seen) > 0.9
+
+
 @settings(max_examples=20)
 @given(count=st.integers(0, 12), seed=st.integers(0, 1000))
-def test_half_of_the_patches_are_worn(count, seed):
+def test_half_of_the_patches_are_degrade(count, seed):
     patches = np.array([textured_image(seed + i, 80, 80) for i in range(count)], np.uint8)
     patches = patches.reshape(-1, 80, 80, 3)
-    seen = worn(patches, np.random.default_rng(seed))
+    seen = degrade(patches, np.random.default_rng(seed))
     assert seen.shape == patches.shape and seen.dtype == np.uint8
-    np.testing.assert_array_equal(seen, worn(patches, np.random.default_rng(seed)))
+    np.testing.assert_array_equal(seen, degrade(patches, np.random.default_rng(seed)))
     for before, after in zip(patches, seen, strict=True):
         # What is light stays light, and where it is stays where it is.
         gray = (
@@ -175,9 +227,9 @@ def test_half_of_the_patches_are_worn(count, seed):
         assert np.corrcoef(*gray)[0, 1] > 0.8
 
 
-def test_worn_patches_show_less():
+def test_degraded_patches_show_less():
     patches = np.array([textured_image(i, 80, 80) for i in range(200)])
-    seen = worn(patches, np.random.default_rng(0))
+    seen = degrade(patches, np.random.default_rng(0))
     changed = (seen != patches).any(axis=(1, 2, 3))
     # Of that half, three in twenty are left as they are by chance.
     assert 0.3 < changed.mean() < 0.55
@@ -202,16 +254,16 @@ def test_parts_and_jittered_boxes(count, seed):
 
 
 @given(n=st.integers(0, 6), m=st.integers(0, 6), seed=st.integers(0, 1000))
-def test_nothing_is_what_overlaps_no_box(n, m, seed):
+def test_background_overlaps_no_box(n, m, seed):
     windows, boxes = boxes_of(seed, n), boxes_of(seed + 1, m)
-    free = is_nothing(windows, boxes, 0.3, 0.5)
+    free = is_background(windows, boxes, 0.3, 0.5)
     for window, is_free in zip(windows, free, strict=True):
         rows = window[None]
         iou = pairwise_iou(rows, boxes).max(initial=0)
         share = pairwise_overlap(rows, boxes).max(initial=0)
         assert is_free == (iou < 0.3 and share < 0.5 * (window[2:] - window[:2]).prod())
     np.testing.assert_array_equal(
-        best_iou(windows, boxes) == 0, is_nothing(windows, boxes, 1e-9, 2)
+        best_iou(windows, boxes) == 0, is_background(windows, boxes, 1e-9, 2)
     )
 
 
@@ -233,10 +285,17 @@ def test_the_border_cuts_one_side_of_a_box(seed):
     box = np.array([10.0, 20, 74, 84])
     cut, outside = cut_by_border(box, np.random.default_rng(seed))
     side = int(outside.argmax())
-    assert side in (0, 2) and outside.sum() == 1
+    assert outside.sum() == 1
     others = [i for i in range(4) if i != side]
     np.testing.assert_array_equal(cut[others], box[others])
-    assert 0.45 * 64 <= cut[2] - cut[0] <= 64
+    axis = side % 2
+    assert 0.45 * 64 <= cut[2 + axis] - cut[axis] <= 64
+
+
+def test_every_border_cuts():
+    box = np.array([10.0, 20, 74, 84])
+    sides = [cut_by_border(box, np.random.default_rng(seed))[1].argmax() for seed in range(60)]
+    assert set(sides) == {0, 1, 2, 3}
 
 
 def crop_of(box, seed=0):
@@ -249,11 +308,10 @@ def crop_of(box, seed=0):
 )
 def test_a_crop_ends_only_where_it_cuts_the_vehicle(monkeypatch, box, ends):
     moved = np.array([box, (2, 7, 63, 64), (1, 4, 50, 61)], float)
-    monkeypatch.setattr(train_detector, "jittered", lambda *_: moved)
-    monkeypatch.setattr(
-        train_detector, "random_camera", lambda e, _: (e.read(), e.boxes, e.required)
-    )
-    features, shifts = crop_edge_samples((crop_of(box), np.random.default_rng(0)))
+    monkeypatch.setattr(second_stage, "with_moved_edges", lambda *_: np.tile(moved, (3, 1)))
+    monkeypatch.setattr(second_stage, "random_camera", lambda e, _: (e.read(), e.boxes, e.required))
+    item = crop_of(box), np.random.default_rng(0)
+    features, shifts = crop_edge_samples(item, DEFAULT_TRAINING)
     windows = on_whole_pixels(np.tile(moved, (3, 1)))
     size = np.tile(windows[:, 2:] - windows[:, :2], 2)
     np.testing.assert_allclose(windows + shifts * size, np.tile(box, (9, 1)))
@@ -264,13 +322,13 @@ def test_a_crop_ends_only_where_it_cuts_the_vehicle(monkeypatch, box, ends):
 
 
 def test_every_boxed_crop_is_looked_at_eight_times(monkeypatch):
-    monkeypatch.setattr(train_detector, "fit_regressor", lambda *samples: samples)
+    monkeypatch.setattr(second_stage, "fit_regressor", lambda *samples: samples)
     crops = [crop_of((6, 8, 58, 60), seed) for seed in range(3)]
     training_set = TrainingSet([], [], [], crops, [])
-    features, shifts, _ = train_regressor(training_set, (), seed=0, jobs=1)
-    assert features.shape[1] == N_ALL_FEATURES and len(features) == len(shifts)
-    # Three windows each; of some the frame, made narrower, leaves too little.
-    assert 0.6 * 72 < len(features) <= 72
+    features, shifts, *_ = train_regressor(training_set, (), 0, 1, DEFAULT_TRAINING)
+    assert features.shape[1] == N_REGRESSOR_FEATURES and len(features) == len(shifts)
+    # Three windows each; of some the cut frame leaves too little.
+    assert 0.5 * 72 < len(features) <= 72
     assert len(np.unique(features, axis=0)) == len(features)
 
 
@@ -302,14 +360,17 @@ def test_regressor_and_scorer_learn_what_is_not_linear():
     features = features.astype(np.float32)
     radius = np.hypot(x, y)[:, 0]
     shifts = np.stack([radius, -radius], axis=1) / 10
-    machine = fit_regressor(features[:1000], shifts[:1000], np.random.default_rng(1))
+    machine = fit_regressor(
+        features[:1000], shifts[:1000], np.random.default_rng(1), DEFAULT_TRAINING
+    )
     error = np.abs(machine.predict(features[1000:]) - shifts[1000:]).mean()
     assert error < 0.3 * np.abs(shifts[1000:] - shifts.mean(axis=0)).mean()
     labels = (radius > 1.2).astype(int)
-    scorer = fit_scorer(features[:1000], labels[:1000], np.random.default_rng(1))
+    fit = partial(fit_scorer, features[:1000], labels[:1000])
+    scorer = fit(np.random.default_rng(1), DEFAULT_TRAINING)
     assert ((scorer.predict(features[1000:])[:, 0] > 0) == labels[1000:]).mean() > 0.9
     for C in (0.01, 1):
-        scorer = fit_scorer(features[:1000], labels[:1000], np.random.default_rng(1), C)
+        scorer = fit(np.random.default_rng(1), TrainingParams(scorer_C=C))
         assert scorer.weights.dtype == scorer.bias.dtype == np.float32
         median = np.median(scorer.predict(features[:1000])[labels[:1000] > 0])
         np.testing.assert_allclose(median, 1.5, rtol=1e-3)
@@ -322,8 +383,9 @@ def test_regressor_looks_past_what_differs_more():
     angle = features[:, 7] / features[:, 7].std()
     shifts = np.stack([np.sin(angle), np.cos(angle)], axis=1) / 5
     machine = fit_regressor(
-        features[:2500].astype(np.float32), shifts[:2500], np.random.default_rng(1)
-    )
+        features[:2500].astype(np.float32), shifts[:2500], np.random.default_rng(1),
+        DEFAULT_TRAINING,
+    )  # fmt: skip
     assert machine.projection.shape == (64, 204)
     error = machine.predict(features[2500:].astype(np.float32)) - shifts[2500:]
     assert np.abs(error).mean() < 0.5 * np.abs(shifts[2500:] - shifts.mean(axis=0)).mean()
@@ -371,52 +433,54 @@ def test_clusters_or_the_samples_themselves():
 # ---------------------------------------------------------------- end to end
 
 
+# As small as still finds something.
+SMALL = TrainingParams(
+    per_camera=14, most_repeats=1, scorer_size=(50, 300), regressor_size=(24, 300),
+    n_principal=60, n_gradients=500, mining_rounds=1,
+)  # fmt: skip
+
+
 @pytest.fixture(scope="module")
-def rendered(tmp_path_factory):
-    """Some rendered scenes, the last three for testing, and a detector trained on the others."""
+def scenes(tmp_path_factory):
+    """Some rendered scenes with their truth, and three more for testing."""
     folder = tmp_path_factory.mktemp("rendered")
     rows = {"train": [], "test": []}
-    for seed in range(24):
-        part = "train" if seed < 21 else "test"
+    for seed in range(17):
+        part = "train" if seed < 14 else "test"
         frame, truth = render(random_scene(seed + 300), 0.0)
-        number = seed + 1 if part == "train" else seed - 20
+        number = seed + 1 if part == "train" else seed - 13
         write_image(folder / part / f"{number:03d}.png", frame)
         rows[part] += truth_rows(number, truth)
     for part, text in rows.items():
         (folder / f"{part}.txt").write_text("".join(text))
-    command = [
-        sys.executable, "train_detector.py", "--footage", folder / "train", folder / "train.txt",
-        "--out", folder / "detector.npz",
-    ]  # fmt: skip
-    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stderr
     return folder
 
 
-def test_a_detector_of_rendered_scenes_finds_vehicles_in_others(rendered):
-    vehicle = Vehicle(None, rendered / "detector.npz", STILL_SCAN, STILL_TRACKS)
-    rows = []
-    for number in (1, 2, 3):
+def trained(scenes):
+    """A detector of the scenes."""
+    examples = balanced(read_footage(scenes / "train", scenes / "train.txt"), SMALL)
+    return train_detector(TrainingSet(examples, [], [], [], []), jobs=1, params=SMALL)
+
+
+@pytest.fixture(scope="module")
+def detector(scenes):
+    return trained(scenes)
+
+
+def test_a_detector_of_rendered_scenes_finds_vehicles_in_others(scenes, detector):
+    vehicle = TwoStageVehicle(None, detector, STILL_SCAN, STILL_TRACKS)
+    found = []
+    for path in find_images(scenes / "test"):
         vehicle.reset()
-        img = cv2.cvtColor(cv2.imread(str(rendered / f"test/{number:03d}.png")), cv2.COLOR_BGR2RGB)
-        for left, top, right, bottom in vehicle.detect(img).boxes:
-            rows.append(f"{number},-1,{left},{top},{right - left},{bottom - top},1\n")
-    (rendered / "found.txt").write_text("".join(rows))
-    figures = evaluate(read_rows(rendered / "test.txt"), read_rows(rendered / "found.txt"))
-    # Twenty scenes are few: one in three, where chance would find none.
+        found.append(vehicle.detect(read_image(path)).boxes)
+    figures = evaluate(read_rows(scenes / "test.txt"), rows_of(found))
+    # Fourteen scenes are few: one vehicle in three, where chance would find none.
     assert figures["recall"] > 0.33 and figures["precision"] > 0.5
     assert figures["mean IoU"] > 0.65
 
 
-def test_the_same_seed_trains_the_same_detector(rendered):
-    detector = load_detector(rendered / "detector.npz")
-    command = [
-        sys.executable, "train_detector.py",
-        "--footage", rendered / "train", rendered / "train.txt",
-        "--out", rendered / "again.npz",
-    ]  # fmt: skip
-    subprocess.run(command, cwd=ROOT, capture_output=True, check=True)
-    again = load_detector(rendered / "again.npz")
+def test_the_same_seed_trains_the_same_detector(scenes, detector):
+    again = trained(scenes)
     for one, other in zip(detector.templates, again.templates, strict=True):
         np.testing.assert_allclose(one.weights, other.weights, atol=1e-5)
     for name in ("regressor", "scorer"):
@@ -438,7 +502,7 @@ def test_bad_input_is_named(tmp_path, arguments, message):
     write_image(tmp_path / "frames/1.png", textured_image(0, 64, 96))
     given = [tmp_path / arguments[0], tmp_path / arguments[1], *arguments[2:]]
     command = [
-        sys.executable, "train_detector.py", "--footage", *given, "--out", tmp_path / "d.npz"
+        *TRAIN, "--footage", *given, "--out", tmp_path / "d.npz",
     ]  # fmt: skip
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 1 and message in result.stderr.splitlines()[-1]

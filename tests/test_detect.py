@@ -1,0 +1,124 @@
+"""The command line of detect.py."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from conftest import ROOT, moving_frames, random_detector, textured_image, write_video
+from vehicle import Vehicle
+from vehicle_detection.media.images import write_image
+from vehicle_detection.media.mot import mot_rows
+from vehicle_detection.media.videos import read_frames, video_info
+from vehicle_detection.parameters import STILL_SCAN, STILL_TRACKS
+from vehicle_detection.two_stage.model import save_detector
+from vehicle_detection.two_stage.vehicle import TwoStageVehicle
+
+
+def run(*arguments):
+    return subprocess.run(
+        [sys.executable, "detect.py", *map(str, arguments)],
+        cwd=ROOT, capture_output=True, text=True,
+    )  # fmt: skip
+
+
+def test_detect_writes_pictures_and_boxes(param, tmp_path):
+    clip = write_video(tmp_path / "clip.mp4", moving_frames(20))
+    images = tmp_path / "images"
+    write_image(images / "still.png", next(moving_frames(1)))
+    out = tmp_path / "out"
+    result = run(clip, images, "--out", out, "--method", "G", "--param", param, "--split-screen")
+    assert result.returncode == 0, result.stderr
+    assert {path.name for path in out.iterdir()} == {
+        "clip.mp4", "clip.txt", "clip_split.mp4", "still.png", "still.txt",
+    }  # fmt: skip
+    assert len(list(read_frames(out / "clip.mp4"))) == 20
+    assert len(list(read_frames(out / "clip_split.mp4"))) == 20
+    rows = np.loadtxt(out / "clip.txt", delimiter=",", ndmin=2)
+    vehicle = Vehicle(None, param)
+    found = [vehicle.detect(frame) for frame in read_frames(clip)]
+    expected = [
+        (number, identity, left, top, right - left, bottom - top)
+        for number, detections in enumerate(found, start=1)
+        for identity, (left, top, right, bottom) in zip(
+            detections.ids, detections.boxes, strict=True
+        )
+    ]
+    assert len(rows) > 0 and rows[:, 1].min() == 1
+    np.testing.assert_array_equal(rows[:, :6], expected)
+    assert (rows[:, 7:] == -1).all()
+
+
+def test_detect_with_two_stages_writes_what_vehicle_finds(tmp_path):
+    save_detector(random_detector(3), tmp_path / "detector.npz")
+    clip = write_video(tmp_path / "clip.mp4", moving_frames(9))
+    write_image(tmp_path / "still.png", next(moving_frames(1)))
+    options = "--out", tmp_path / "out", "--param", tmp_path / "detector.npz", "--split-screen"
+    result = run(clip, tmp_path / "still.png", *options)
+    assert result.returncode == 0, result.stderr
+    vehicle = TwoStageVehicle(None, tmp_path / "detector.npz")
+    found = [vehicle.detect(frame) for frame in read_frames(clip)]
+    lines = (tmp_path / "out/clip.txt").read_text().splitlines()
+    assert lines == [row for n, one in enumerate(found, start=1) for row in mot_rows(n, one)]
+    assert video_info(tmp_path / "out/clip_split.mp4").n_frames == 9
+    still = TwoStageVehicle(None, tmp_path / "detector.npz", STILL_SCAN, STILL_TRACKS)
+    rows = mot_rows(1, still.detect(next(moving_frames(1))))
+    assert (tmp_path / "out/still.txt").read_text().splitlines() == rows
+    assert len(rows) > 0
+
+
+@pytest.mark.parametrize("option", [("--search", "B"), ("--horizon", "0.5"), ("--scan-every", "3")])
+def test_options_of_the_other_way_are_refused(tmp_path, option):
+    write_image(tmp_path / "still.png", next(moving_frames(1)))
+    result = run(tmp_path / "still.png", "--out", tmp_path / "out", *option)
+    assert result.returncode == 1
+    assert f"error: {option[0]} goes with --filter G or B only" in result.stderr
+
+
+@pytest.mark.parametrize(
+    "name, message",
+    [
+        ("gone.mp4", "no such video"),
+        ("notes.txt", "neither an image nor a video"),
+        ("text.mp4", "not a readable video"),
+        ("text.png", "not a readable image"),
+    ],
+)
+def test_detect_names_bad_input(param, tmp_path, name, message):
+    if name != "gone.mp4":
+        (tmp_path / name).write_text("no picture")
+    out = tmp_path / "out"
+    result = run(tmp_path / name, "--out", out, "--method", "G", "--param", param)
+    assert result.returncode == 1
+    last = result.stderr.splitlines()[-1]
+    assert last.startswith(f"error: {tmp_path / name}: ") and message in last
+    assert not out.exists() or list(out.iterdir()) == []
+
+
+def test_two_inputs_of_one_name_are_refused(param, tmp_path):
+    for folder in ("a", "b"):
+        write_image(tmp_path / folder / "same.png", next(moving_frames(1)))
+    result = run(
+        tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out", "--method", "G", "--param", param
+    )
+    assert result.returncode == 1 and "is taken: use another --out" in result.stderr
+
+
+def test_an_input_is_never_overwritten(param, tmp_path):
+    write_image(tmp_path / "still.png", next(moving_frames(1)))
+    before = (tmp_path / "still.png").read_bytes()
+    result = run(tmp_path / "still.png", "--out", tmp_path, "--method", "G", "--param", param)
+    assert result.returncode == 1 and "is taken: use another --out" in result.stderr
+    assert (tmp_path / "still.png").read_bytes() == before
+
+
+def test_what_is_wrong_with_a_frame_names_the_file(param, tmp_path):
+    write_image(tmp_path / "tiny.png", textured_image(0, 20, 320))
+    result = run(
+        tmp_path / "tiny.png", "--out", tmp_path / "out", "--method", "G", "--param", param
+    )
+    assert result.returncode == 1
+    assert result.stderr.splitlines()[-1].startswith(
+        f"error: {tmp_path / 'tiny.png'}: no window fits"
+    )

@@ -1,0 +1,81 @@
+"""Kernel machines, and the file of a detector."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.metrics.pairwise import rbf_kernel
+
+from conftest import random_boxes, random_detector, textured_image
+from vehicle_detection.two_stage.model import (
+    FORMAT_VERSION,
+    KernelMachine,
+    load_detector,
+    save_detector,
+)
+from vehicle_detection.two_stage.refinement import merge, refine
+
+
+def refined(img, boxes, detector):
+    """Boxes and scores of `refine`."""
+    none = np.empty((0, 4))
+    candidates = refine(img, merge(none, boxes, 0.6), detector, discard_below=-1.0)
+    return candidates.boxes, candidates.scores
+
+
+@settings(max_examples=20)
+@given(count=st.integers(0, 6), seed=st.integers(0, 1000))
+def test_kernel_machine_is_a_sum_of_gaussians(count, seed):
+    rng = np.random.default_rng(seed)
+    arrays = [
+        rng.normal(size=shape).astype(np.float32) for shape in ((7, 30), 7, (50, 7), (4, 50), 4)
+    ]
+    machine = KernelMachine(*arrays, gamma=0.05)
+    features = rng.normal(size=(count, 30)).astype(np.float32)
+    projection, offset, centers, weights, bias = arrays
+    expected = bias + (
+        rbf_kernel(features @ projection.T + offset, centers, 0.05) @ weights.T if count else 0
+    )
+    np.testing.assert_allclose(
+        machine.predict(features), np.broadcast_to(expected, (count, 4)), atol=1e-3
+    )
+
+
+def test_a_detector_is_read_as_it_was_written(tmp_path):
+    detector = random_detector(1)
+    save_detector(detector, tmp_path / "detector.npz")
+    loaded = load_detector(tmp_path / "detector.npz")
+    for old, new in zip(detector.templates, loaded.templates, strict=True):
+        np.testing.assert_array_equal(old.weights, new.weights)
+        assert old.bias == pytest.approx(new.bias)
+    img, boxes = textured_image(4, 240, 320), random_boxes(np.random.default_rng(0), 5)
+    for old, new in zip(refined(img, boxes, detector), refined(img, boxes, loaded), strict=True):
+        np.testing.assert_allclose(old, new, rtol=0.01, atol=0.02)
+
+
+def test_what_is_no_detector_is_named(tmp_path):
+    path = tmp_path / "detector.npz"
+    with pytest.raises(FileNotFoundError, match=r"detector\.npz: no such parameter file"):
+        load_detector(path)
+    path.write_text("nothing of the kind")
+    with pytest.raises(ValueError, match=r"detector\.npz: not a detector"):
+        load_detector(path)
+    save_detector(random_detector(1), path)
+    whole = path.read_bytes()
+    for damaged in (b"", whole[: len(whole) // 2], whole[:100]):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"detector\.npz: not a detector"):
+            load_detector(path)
+    good = random_detector(1)
+    other = replace(good, scorer=good.regressor)
+    save_detector(other, path)
+    with pytest.raises(ValueError, match="an array of"):
+        load_detector(path)
+    np.savez(path, format_version=0)
+    with pytest.raises(ValueError, match=f"format 0, not {FORMAT_VERSION}"):
+        load_detector(path)
+    np.savez(path, format_version=FORMAT_VERSION)
+    with pytest.raises(ValueError, match=r"detector\.npz: not a detector.*template0"):
+        load_detector(path)

@@ -1,0 +1,193 @@
+"""The first stage: levels, cells, window scores, proposals."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import uniform_filter
+from skimage.feature import hog
+
+from conftest import lengths_and_units, random_boxes, random_detector, textured_image
+from pipeline_functions import convert_color
+from vehicle_detection.compiled.hog import cell_histograms
+from vehicle_detection.parameters import ScanParams
+from vehicle_detection.tracking.boxes import pairwise_iou
+from vehicle_detection.two_stage.features import (
+    CELL_FEATURES,
+    ORIENTATIONS,
+    cell_lengths,
+    normalise_cells,
+)
+from vehicle_detection.two_stage.model import Template
+from vehicle_detection.two_stage.proposals import (
+    SURROUNDINGS,
+    WINDOW_CELL,
+    WINDOW_ROWS,
+    cell_features,
+    level_groups,
+    propose,
+    suppress,
+    window_scores,
+)
+from vehicle_detection.two_stage.road import Reach
+
+
+def anywhere(n_rows):
+    """Vehicles can stand in most of the frame."""
+    return Reach(horizon=(0.3 * n_rows, 0.62 * n_rows), ratio=(0.2, 1.3))
+
+
+@settings(max_examples=40)
+@given(
+    width=st.integers(200, 2000),
+    shape=st.floats(0.4, 0.8),
+    ratio=st.floats(1.1, 1.5),
+    n_groups=st.integers(1, 6),
+)
+def test_groups_share_out_all_levels(width, shape, ratio, n_groups):
+    scan = ScanParams(ratio=ratio, n_groups=n_groups)
+    frame = round(width * shape), width
+    (every,) = level_groups(frame, replace(scan, n_groups=1), anywhere(frame[0]))
+    groups = level_groups(frame, scan, anywhere(frame[0]))
+    assert all(groups) and len(groups) <= n_groups
+    assert sorted(map(repr, every)) == sorted(repr(level) for group in groups for level in group)
+    heights = [WINDOW_ROWS * WINDOW_CELL * (a.bottom - a.top) / a.rows for a in every]
+    assert abs(heights[0] - 32 * width / 1280) < 0.06 * heights[0]
+    assert all(0 <= a.top < a.bottom <= frame[0] for a in every)
+    # Levels are as fine as asked for, but for rounding.
+    assert (np.diff(np.log(heights)) < np.log(ratio) + 0.1).all()
+
+
+def test_a_frame_too_small_for_any_window_is_refused():
+    with pytest.raises(ValueError, match="no window fits a frame of 300x4"):
+        level_groups((4, 300), ScanParams(), anywhere(4))
+
+
+def test_levels_cover_what_is_within_reach():
+    reach = Reach(horizon=(300.0, 400.0), ratio=(0.25, 1.2))
+    (levels,) = level_groups((720, 1280), ScanParams(n_groups=1), reach)
+    for level in levels:
+        side = WINDOW_ROWS * WINDOW_CELL * (level.bottom - level.top) / level.rows
+        # The highest vehicle ends a quarter of its height below the highest horizon.
+        assert level.top <= max(0, 300 - 0.75 * side) + 0.3 * side
+        assert level.bottom >= min(720, 400 + 1.2 * side) - 0.1 * side - 1
+
+
+@settings(max_examples=20)
+@given(n_proposals=st.integers(1, 6), seed=st.integers(0, 1000))
+def test_the_best_windows_are_proposed(n_proposals, seed):
+    img, templates = textured_image(seed, 90, 400), random_detector(seed).templates
+    scan = ScanParams(
+        smallest=150, largest=150, cells_per_step=1, n_groups=1, threshold=-np.inf,
+        n_proposals=300,
+    )  # fmt: skip
+    ((level,),) = level_groups(img.shape[:2], scan, anywhere(90))
+    every, _ = propose(img, [level], templates, scan)
+    boxes, scores = propose(img, [level], templates, replace(scan, n_proposals=n_proposals))
+    np.testing.assert_allclose(boxes, every[:n_proposals])
+    assert (np.diff(scores) <= 0).all()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"smallest": 0},
+        {"smallest": 500},
+        {"ratio": 1},
+        {"n_groups": 0},
+        {"cells_per_step": 0},
+        {"n_proposals": 0},
+        {"overlap": 1},
+    ],
+)
+def test_scan_params_refuse(wrong):
+    with pytest.raises(ValueError):
+        ScanParams(**wrong)
+
+
+def unit_histograms(channel, side):
+    """Histograms of cells by scikit-image, each brought to unit length."""
+    return hog(
+        channel, ORIENTATIONS, (side, side), (1, 1), "L2",
+        transform_sqrt=True, feature_vector=False,
+    )[:, :, 0, 0]  # fmt: skip
+
+
+def test_cells_hold_hog_and_mean_colour():
+    img = textured_image(3, 46, 61)
+    features = cell_features(img)
+    img = convert_color(img, "YCrCb")
+    assert features.shape == (11, 15, CELL_FEATURES)
+    lengths, units = lengths_and_units(features[..., :ORIENTATIONS])
+    np.testing.assert_allclose(units, unit_histograms(img[..., 0], WINDOW_CELL), atol=1e-5)
+    raw = np.linalg.norm(cell_histograms(img[..., :1], ORIENTATIONS, WINDOW_CELL)[0], axis=-1)
+    around = uniform_filter(raw, SURROUNDINGS, mode="reflect")
+    np.testing.assert_allclose(lengths, raw / np.hypot(raw, around), atol=1e-5)
+    cell = img[8:12, 20:24].mean(axis=(0, 1)) / 255
+    np.testing.assert_allclose(features[2, 5, ORIENTATIONS:], cell, atol=0.003)
+
+
+def test_a_cell_is_held_against_what_is_around():
+    histograms = np.array([[3.0, 4.0], [0.0, 0.0]], np.float32)
+    lengths = cell_lengths(histograms)
+    np.testing.assert_allclose(lengths, [5, 0])
+    normalised = normalise_cells(histograms, lengths, np.float32(2.5))
+    np.testing.assert_allclose(normalised, histograms / np.sqrt(25 + 6.25), atol=1e-6)
+    nothing = np.zeros((2, 2), np.float32)
+    assert not normalise_cells(nothing, cell_lengths(nothing), np.float32(0)).any()
+
+
+@settings(max_examples=30)
+@given(
+    rows=st.integers(1, 20),
+    columns=st.integers(1, 30),
+    width=st.integers(1, 16),
+    step=st.integers(1, 3),
+    seed=st.integers(0, 1000),
+)
+def test_window_scores_are_products_at_every_place(rows, columns, width, step, seed):
+    rng = np.random.default_rng(seed)
+    features = rng.normal(size=(rows, columns, CELL_FEATURES)).astype(np.float32)
+    weights = rng.normal(size=(WINDOW_ROWS, width, CELL_FEATURES)).astype(np.float32)
+    scores = window_scores(features, Template(weights, 0.5), step)
+    places = (
+        range(0, max(0, side), step) for side in (rows - WINDOW_ROWS + 1, columns - width + 1)
+    )
+    tops, lefts = map(list, places)
+    shape = len(tops), len(lefts)
+    assert scores.shape == shape
+    for i, k in np.ndindex(shape):
+        window = features[tops[i] : tops[i] + WINDOW_ROWS, lefts[k] : lefts[k] + width]
+        assert scores[i, k] == pytest.approx((window * weights).sum() + 0.5, abs=2e-3)
+
+
+def test_a_window_is_proposed_where_its_pixels_are():
+    img = np.full((360, 640, 3), 90, np.uint8)
+    img[170:202, 300:344] = textured_image(5, 32, 44)
+    scan = ScanParams(
+        smallest=64, largest=64, cells_per_step=1, n_groups=1, threshold=-np.inf, n_proposals=1,
+    )  # fmt: skip
+    ((level,),) = level_groups(img.shape[:2], scan, anywhere(len(img)))
+    strip = cv2.resize(img[level.top : level.bottom], (level.columns, level.rows))
+    assert (level.rows, level.columns) == (level.bottom - level.top, 640)
+    row, column = (170 - level.top) // WINDOW_CELL, 300 // WINDOW_CELL
+    level_cells = cell_features(strip)
+    wanted = level_cells[row : row + WINDOW_ROWS, column : column + 11]
+    template = Template(wanted - level_cells.mean(axis=(0, 1)), 0.0)
+    (box,), _ = propose(img, [level], (template,), scan)
+    np.testing.assert_allclose(box, (300, 170, 344, 202), atol=WINDOW_CELL)
+
+
+@settings(max_examples=50)
+@given(count=st.integers(0, 25), overlap=st.floats(0.1, 0.9), seed=st.integers(0, 10_000))
+def test_suppression_is_greedy(count, overlap, seed):
+    rng = np.random.default_rng(seed)
+    boxes, scores = random_boxes(rng, count), rng.normal(size=count)
+    iou, kept = pairwise_iou(boxes, boxes), []
+    for i in np.argsort(-scores):
+        if all(iou[i, k] <= overlap for k in kept):
+            kept.append(i)
+    assert suppress(boxes, scores, overlap).tolist() == kept
