@@ -50,7 +50,7 @@ class Variant:
     loss: str = "squared_hinge"
     all_images: bool = False
     undistorted: bool = False
-    band_top: int = 400
+    band_top: int = 380
 
 
 VARIANTS = {
@@ -58,9 +58,8 @@ VARIANTS = {
     "hinge loss": Variant(loss="hinge"),
     "all images": Variant(all_images=True),
     "undistorted first": Variant(undistorted=True),
-    "band of scale 1 from 380": Variant(band_top=380),
+    "band of scale 1 from 400": Variant(band_top=400),
     "undistorted, hinge": Variant(loss="hinge", undistorted=True),
-    "undistorted, hinge, from 380": Variant(loss="hinge", undistorted=True, band_top=380),
 }
 
 

@@ -46,14 +46,6 @@ RESULTS = Path(__file__).parent / "results"
 SEEDS = (0, 1, 2)
 # G's windows lie 16 pixels apart at scale 1, whatever the size of a cell.
 _PIXELS_PER_STEP = 16
-_COLUMNS = (
-    "id",
-    "settings",
-    "features", "accuracy", "accuracy_spread", "honest_accuracy", "honest_auc",
-    "fit_seconds", "recall", "precision", "false_positives_per_frame",
-)  # fmt: skip
-
-
 # --------------------------------------------------------- one configuration
 
 
@@ -164,7 +156,8 @@ def read_results(path):
 def write_results(path, results):
     """Write rows, by id, in the order of the ids."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    columns = list(dict.fromkeys(name for row in results.values() for name in row))
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
     for identity in sorted(results, key=lambda value: (len(value), value)):
         writer.writerow(results[identity])

@@ -68,12 +68,12 @@ def test_detect_with_two_stages_writes_what_vehicle_finds(tmp_path):
     assert len(rows) > 0
 
 
-@pytest.mark.parametrize("option", [("--search", "B"), ("--horizon", "0.5"), ("--scan-every", "3")])
-def test_options_of_the_other_way_are_refused(tmp_path, option):
+@pytest.mark.parametrize("option", [("--horizon", "0.5"), ("--scan-every", "3")])
+def test_options_of_the_other_method_are_refused(tmp_path, option):
     write_image(tmp_path / "still.png", next(moving_frames(1)))
     result = run(tmp_path / "still.png", "--out", tmp_path / "out", *option)
-    assert result.returncode == 1
-    assert f"error: {option[0]} goes with --filter G or B only" in result.stderr
+    assert result.returncode == 2
+    assert "--horizon and --scan-every go with --method G or B only" in result.stderr
 
 
 @pytest.mark.parametrize(

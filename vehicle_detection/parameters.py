@@ -175,8 +175,9 @@ class SearchParams:
 
 
 SEARCH_PRESETS = {
-    # G's stills were searched in (1, 380, 550); these are its video's bands.
-    "G": SearchParams(bands=((1, 400, 550), (2, 400, 650), (3, 400, 720), (4, 400, 720))),
+    # The first band begins at 380 for G's stills and at 400 for its video. From 380 on, the
+    # video too is searched as well as by G's own code, see docs/reproduction.md.
+    "G": SearchParams(bands=((1, 380, 550), (2, 400, 650), (3, 400, 720), (4, 400, 720))),
     "B": SearchParams(bands=((1.6, 380, 660),)),
 }
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from conftest import ROOT
 from vehicle_detection.evaluation.metrics import (
+    drop_ignored,
     errors_by_frame,
     evaluate,
-    forgive,
     match,
     precision_recall,
 )
@@ -69,7 +69,7 @@ def test_without_identities_there_are_no_switches():
 def test_required_vehicle_in_an_ignore_region_still_counts():
     truth = rows((1, 1, 0, 0, 50, 50, 1), (1, 101, 0, 0, 200, 200, 0))
     detections = rows((1, -1, 0, 0, 50, 50, 1), (1, -1, 100, 100, 150, 150, 1))
-    assert len(forgive(truth, detections).frames) == 1
+    assert len(drop_ignored(truth, detections).frames) == 1
     assert evaluate(truth, detections)["precision"] == 1
 
 
@@ -170,7 +170,7 @@ def test_command_line(tmp_path):
     truth, detections = tmp_path / "truth.txt", tmp_path / "boxes.txt"
     truth.write_text("1,1,0,0,40,40,1,3,1\n2,1,0,0,40,40,1,3,1\n")
     detections.write_text("1,-1,0,0,40,40,5.000,-1,-1,-1\n")
-    command = [sys.executable, "evaluate.py", truth, detections]
+    command = [sys.executable, "-m", "vehicle_detection.evaluation", truth, detections]
     result = subprocess.run(
         [*command, "--json", "--picture", tmp_path / "p.png"],
         cwd=ROOT, capture_output=True, text=True, check=True,

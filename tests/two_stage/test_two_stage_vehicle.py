@@ -9,7 +9,7 @@ import pytest
 from conftest import ROOT, random_detector, textured_image
 from vehicle_detection.evaluation.metrics import evaluate
 from vehicle_detection.media.drawing import identity_color
-from vehicle_detection.media.mot import Rows, read_rows
+from vehicle_detection.media.mot import read_rows, rows_of_detections
 from vehicle_detection.media.videos import read_frames
 from vehicle_detection.parameters import STILL_SCAN, STILL_TRACKS, TrackParams
 from vehicle_detection.two_stage.model import save_detector
@@ -30,18 +30,6 @@ def frames(count, rows=180, columns=320):
     ground = textured_image(0, rows, columns)
     for i in range(count):
         yield np.roll(ground, 2 * i, axis=1)
-
-
-def rows_of(all_detections):
-    """Detections of the frames from 1 on as rows of a MOTChallenge file."""
-    numbers = [np.full(len(d.ids), n) for n, d in enumerate(all_detections, start=1)]
-    return Rows(
-        np.concatenate(numbers),
-        np.concatenate([d.ids for d in all_detections]),
-        np.concatenate([d.boxes for d in all_detections]).astype(float),
-        np.concatenate([d.scores for d in all_detections]),
-        np.full(sum(map(len, numbers)), -1.0),
-    )
 
 
 def test_boxes_are_whole_pixels_of_the_frame_with_identities_of_their_own(path):
@@ -169,7 +157,7 @@ def test_pictures_show_the_vehicles(path):
 def test_the_shipped_detector_follows_the_vehicles_of_the_shipped_clip():
     vehicle = TwoStageVehicle(None, ROOT / "param/detector.npz")
     clip = islice(read_frames(ROOT / "videos/drive.mp4"), 60)
-    found = rows_of([vehicle.detect(frame) for frame in clip])
+    found = rows_of_detections([vehicle.detect(frame) for frame in clip])
     figures = evaluate(read_rows(ROOT / "videos/drive.gt.txt"), found, range(1, 61))
     assert figures["recall"] > 0.85 and figures["precision"] > 0.95
     assert figures["mean IoU"] > 0.75 and figures["identity switches"] <= 1
@@ -183,7 +171,7 @@ def test_the_shipped_detector_finds_vehicles_in_stills():
     for frame in clip:
         vehicle.reset()
         found.append(vehicle.detect(frame))
-    rows = rows_of(found)
+    rows = rows_of_detections(found)
     rows = replace(rows, frames=np.array(numbers)[rows.frames - 1])
     chosen = truth.only(np.isin(truth.frames, numbers))
     figures = evaluate(chosen, rows, range(1, 151))
@@ -195,6 +183,8 @@ def test_an_entering_vehicle_of_the_real_video_is_boxed_within_ten_frames(real_d
     truth = read_rows(real_data / "truth/project_video.gt.txt")
     vehicle = TwoStageVehicle(None, ROOT / "param/detector.npz")
     clip = islice(read_frames(real_data / "udacity/project_video.mp4"), 240)
-    figures = evaluate(truth, rows_of([vehicle.detect(frame) for frame in clip]), range(1, 241))
+    figures = evaluate(
+        truth, rows_of_detections([vehicle.detect(frame) for frame in clip]), range(1, 241)
+    )
     assert figures["frames to first box"]["1 from 162"] <= 10
     assert figures["recall"] > 0.9 and figures["false positives"] <= 2

@@ -105,6 +105,24 @@ def rows_of(boxes):
     return Rows(frames, unknown, stacked.astype(float), scores, visibility=unknown.astype(float))
 
 
+def rows_of_detections(detections):
+    """Rows of the detections of the frames of a video, from frame 1 on.
+
+    Parameters
+    ----------
+    detections : list
+        With `boxes`, `ids` and `scores` each, as `detect` returns them.
+
+    Returns
+    -------
+    rows : Rows
+    """
+    frames = np.repeat(np.arange(1, len(detections) + 1), [len(one.ids) for one in detections])
+    boxes = np.concatenate([one.boxes for one in detections]).astype(float)
+    ids, scores = (np.concatenate([getattr(d, n) for d in detections]) for n in ("ids", "scores"))
+    return Rows(frames, ids, boxes, scores, visibility=np.full(len(frames), -1.0))
+
+
 def mot_rows(frame_number, detections):
     """Detections of one frame as rows of a MOTChallenge file.
 
