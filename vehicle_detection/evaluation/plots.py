@@ -4,6 +4,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from vehicle_detection.evaluation.metrics import errors_by_frame, precision_recall
+from vehicle_detection.media.drawing import WHITE, draw_boxes, draw_vehicles
+from vehicle_detection.media.figures import crop_to_road, show
+from vehicle_detection.media.videos import read_frames
 
 
 def table(figures):
@@ -39,10 +42,73 @@ def draw_evaluation(truth, detections, frames, iou_threshold=0.5):
     curve.plot(recall, precision, marker=".")
     curve.set(xlabel="recall", ylabel="precision", xlim=(0, 1.02), ylim=(0, 1.02))
     misses, alarms = errors_by_frame(truth, detections, frames, iou_threshold)
-    timeline.fill_between(frames, misses, step="mid", color="tab:orange", label="missed")
+    timeline.fill_between(frames, misses, step="mid", color="tab:blue", label="missed")
     timeline.fill_between(
-        frames, -np.array(alarms), step="mid", color="tab:red", label="false positives"
+        frames, -np.array(alarms), step="mid", color="tab:orange", label="false positives"
     )
     timeline.set(xlabel="frame", ylabel="boxes")
     timeline.legend(loc="upper right")
     return figure
+
+
+def show_worst(video, vehicle, truth, errors, count=6):
+    """Figure of the frames with the most errors, true boxes in white.
+
+    Parameters
+    ----------
+    video : path
+    vehicle : Viewer
+        Detects in the whole video anew.
+    truth : Rows
+    errors : ndarray of int, shape (n,)
+        Of each frame, from the first.
+    count : int
+        Frames to show, at most.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure or None
+        None if no frame has an error.
+    """
+    worst = {int(i) + 1 for i in errors.argsort(stable=True)[::-1][:count] if errors[i] > 0}
+    required = truth.only(truth.scores == 1)
+    pictures, titles = [], []
+    vehicle.reset()
+    for number, frame in enumerate(read_frames(video), start=1):
+        detections = vehicle.detect(frame)
+        if number in worst:
+            own = required.boxes[required.frames == number]
+            picture = draw_boxes(frame, own, WHITE, thickness=7)
+            pictures.append(crop_to_road(draw_vehicles(picture, detections.boxes, detections.ids)))
+            titles.append(f"frame {number}: {errors[number - 1]} wrong")
+    return show(pictures, titles, columns=2) if pictures else None
+
+
+def side_by_side(video, vehicles, frames):
+    """What several detectors find in the same frames.
+
+    Parameters
+    ----------
+    video : path
+    vehicles : dict of str to Viewer
+        Are reset first.
+    frames : sequence of int
+        Numbers of the frames to draw, from 1.
+
+    Returns
+    -------
+    pictures : list of ndarray of uint8, shape (rows, columns, 3)
+        Frame by frame, detector by detector.
+    detections : dict of str to list
+        Of every frame of the video.
+    """
+    for vehicle in vehicles.values():
+        vehicle.reset()
+    pictures, detections = [], {name: [] for name in vehicles}
+    for number, frame in enumerate(read_frames(video), start=1):
+        for name, vehicle in vehicles.items():
+            found = vehicle.detect(frame)
+            detections[name].append(found)
+            if number in frames:
+                pictures.append(draw_vehicles(frame, found.boxes, found.ids))
+    return pictures, detections

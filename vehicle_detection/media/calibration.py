@@ -1,6 +1,6 @@
 """Calibrate a camera from photos of a chessboard.
 
-python calibrate.py FOLDER --out param/calib.p
+python -m vehicle_detection.media.calibration FOLDER --out output/calib.p
 """
 
 import argparse
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from tqdm import tqdm
+from tqdm.auto import tqdm
 
 from vehicle_detection.media.files import write_whole
 from vehicle_detection.media.images import find_images, read_image
@@ -54,6 +54,10 @@ class Calibration:
             )
         mtx = self.mtx * [[ratio], [ratio], [1]]
         return cv2.initUndistortRectifyMap(mtx, self.dist, None, mtx, (width, height), cv2.CV_16SC2)
+
+    def undistort(self, img):
+        """An image as a pinhole camera would have seen it, of the same shape."""
+        return cv2.remap(img, *self.maps(img.shape), cv2.INTER_LINEAR)
 
 
 def find_corners(img, pattern):
@@ -144,15 +148,17 @@ def load_calibration(path):
     """
     path = Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such calibration: run calibrate.py to make it")
+        raise FileNotFoundError(f"{path}: no such calibration: make one, see docs/training.md")
     # Unpickling what is no such file can fail in any way whatever.
     try:
         calibration = Calibration(**pickle.loads(path.read_bytes()))
         shapes = np.shape(calibration.mtx), np.shape(calibration.dist), len(calibration.image_size)
     except Exception as error:
-        raise ValueError(f"{path}: not a calibration: run calibrate.py again") from error
+        raise ValueError(
+            f"{path}: not a calibration: make it anew, see docs/training.md"
+        ) from error
     if shapes != ((3, 3), (1, 5), 2):
-        raise ValueError(f"{path}: not a calibration: run calibrate.py again")
+        raise ValueError(f"{path}: not a calibration: make it anew, see docs/training.md")
     return calibration
 
 
@@ -169,7 +175,7 @@ def main():
     parser = argparse.ArgumentParser(description="Calibrate a camera from chessboard photos.")
     parser.add_argument("folder", type=Path, help="folder of photos, png or jpg")
     parser.add_argument(
-        "--out", type=Path, default=Path("param/calib.p"), help="default: %(default)s"
+        "--out", type=Path, default=Path("output/calib.p"), help="default: %(default)s"
     )
     parser.add_argument(
         "--corners", type=corner_count, nargs=2, default=(9, 6), metavar=("COLUMNS", "ROWS"),

@@ -5,8 +5,14 @@ from colorsys import hsv_to_rgb
 import cv2
 import numpy as np
 
+# Colours that colour-blind people tell apart [1]_: of boxes in general, of what passes a
+# threshold, of what does not, and of the truth.
+#
+# .. [1] M. Okabe and K. Ito, "Color Universal Design", 2008.
+BLUE, GREEN, VERMILLION, WHITE = (0, 0, 255), (0, 158, 115), (213, 94, 0), (255, 255, 255)
 
-def draw_boxes(img, boxes, color=(0, 0, 255), thickness=4):
+
+def draw_boxes(img, boxes, color=BLUE, thickness=4):
     """A copy of the image with boxes on it.
 
     Parameters
@@ -57,7 +63,7 @@ def draw_vehicles(img, boxes, ids, thickness=4):
 
 
 def draw_rated(img, boxes, values, threshold):
-    """Boxes with a number each: green from the threshold on, red below.
+    """Boxes with a number each: green from the threshold on, vermillion below.
 
     Parameters
     ----------
@@ -70,7 +76,7 @@ def draw_rated(img, boxes, values, threshold):
     img = img.copy()
     font_scale = img.shape[0] / 900
     for (left, top, right, bottom), value in zip(boxes.round().astype(int), values, strict=True):
-        color = (0, 200, 0) if value >= threshold else (255, 60, 60)
+        color = GREEN if value >= threshold else VERMILLION
         cv2.rectangle(img, (left, top), (right - 1, bottom - 1), color, 2)
         place = left, max(top - 4, round(20 * font_scale))
         font = cv2.FONT_HERSHEY_SIMPLEX

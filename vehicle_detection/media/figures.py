@@ -3,6 +3,15 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
+# Rows of a frame in which traffic is, as shares of its height.
+_ROAD_ROWS = 0.42, 0.95
+
+
+def crop_to_road(img):
+    """The rows of a frame in which traffic is: details stay legible at the width of a page."""
+    first, last = (round(share * len(img)) for share in _ROAD_ROWS)
+    return img[first:last]
+
 
 def show(images, titles=None, columns=2, width=12, cmap="gray"):
     """Figure with a grid of images.
@@ -37,6 +46,38 @@ def show(images, titles=None, columns=2, width=12, cmap="gray"):
         axis.imshow(image, cmap=cmap)
         if titles:
             axis.set_title(titles[i], fontsize=10)
+    return figure
+
+
+def show_steps(rows, titles, width=16):
+    """Figure of several frames, one a row, with the pictures of every step side by side.
+
+    Parameters
+    ----------
+    rows : sequence of (label, list of ndarray)
+        What to write beside a row, and its pictures, RGB of uint8.
+    titles : sequence of str
+        Of the steps; they are numbered.
+    width : float
+        Of the figure, in inches.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+    """
+    columns = len(titles)
+    height, breadth = crop_to_road(rows[0][1][0]).shape[:2]
+    figure, axes = plt.subplots(
+        len(rows), columns, figsize=(width, 0.3 + len(rows) * width / columns * height / breadth),
+        squeeze=False, layout="constrained",
+    )  # fmt: skip
+    for (label, pictures), own in zip(rows, axes, strict=True):
+        for picture, axis in zip(pictures, own, strict=True):
+            axis.imshow(crop_to_road(picture))
+            axis.set(xticks=[], yticks=[])
+        own[0].set_ylabel(label)
+    for number, (title, axis) in enumerate(zip(titles, axes[0], strict=True), start=1):
+        axis.set_title(f"{number} {title}", fontsize=11)
     return figure
 
 

@@ -4,6 +4,26 @@ import os
 from contextlib import contextmanager
 from pathlib import Path
 
+SHIPPED = Path(__file__).parents[2] / "param"
+TRAINED = Path("output")
+
+
+def trained_or_shipped(name):
+    """A parameter file of this name: the one trained here, or else the shipped one.
+
+    Parameters
+    ----------
+    name : str
+        Such as "svc_pickle.p".
+
+    Returns
+    -------
+    path : Path
+        In `output/` of the working directory, or in `param/` beside the program.
+    """
+    trained = TRAINED / name
+    return trained if trained.is_file() else SHIPPED / name
+
 
 @contextmanager
 def written_whole(path):
