@@ -10,7 +10,6 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-SAMPLE := output/sample
 DETECTOR ?= param/detector.npz
 export VIDEO
 PRESET ?= G
@@ -57,9 +56,13 @@ train: .venv/installed
 	$(BIN)/python train.py "$(DATA)" --preset $(PRESET)
 
 detector: .venv/installed
-	$(BIN)/python -m rendered_road.sample $(SAMPLE)/scenes --only training --scenes 400
+	for scene in motorway town; do \
+		$(BIN)/python -m rendered_road.sample output/scenes/$$scene --only training --scenes 250 \
+			--scene $$scene || exit 1; \
+	done
 	$(BIN)/python -m vehicle_detection.two_stage.training --out output/detector.npz \
-		--footage $(SAMPLE)/scenes/scenes $(SAMPLE)/scenes/scenes.gt.txt
+		--footage output/scenes/motorway/scenes output/scenes/motorway/scenes.gt.txt \
+		--footage output/scenes/town/scenes output/scenes/town/scenes.gt.txt
 
 evaluate: .venv/installed
 	$(BIN)/python detect.py --param $(DETECTOR)

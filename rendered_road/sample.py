@@ -108,11 +108,6 @@ def town_scene(seed):
     return replace(empty, actors=tuple(actors))
 
 
-def training_scene(seed):
-    """A motorway for even seeds, a town for odd ones."""
-    return town_scene(seed) if seed % 2 else random_scene(seed)
-
-
 def _vehicles_beside(world, actors, rng):
     """In every other lane, now and then, one so near that the border cuts it: it comes in."""
     beside = []
@@ -172,6 +167,9 @@ def driving_world(seed):
         for i, kind in enumerate(kinds)
     ]  # fmt: skip
     return make_world(world.seed, actors)
+
+
+SCENES = {"motorway": random_scene, "town": town_scene}
 
 
 def truth_rows(frame_number, truth):
@@ -262,15 +260,15 @@ def _covered(box, other):
     return max(0, width) * max(0, height) / min(areas)
 
 
-def cut_scene(seed):
-    """One scene with its truth, and training images of both classes from it."""
+def cut_scene(seed, scene="motorway"):
+    """A scene of `SCENES` with its truth, and training images of both classes from it."""
     rng = np.random.default_rng([seed, 12])
-    frame, truth = render(training_scene(seed), 0.0)
+    frame, truth = render(SCENES[scene](seed), 0.0)
     vehicles = vehicle_cuts(frame, truth, rng)
     return frame, truth, (vehicles, other_cuts(frame, truth, rng, max(6, len(vehicles))))
 
 
-def write_training_images(folder, seed=0, scenes=N_SCENES, jobs=-1):
+def write_training_images(folder, seed=0, scenes=N_SCENES, jobs=-1, scene="motorway"):
     """Write vehicles/, non-vehicles/ and the scenes they are from, and say how many.
 
     Parameters
@@ -280,10 +278,12 @@ def write_training_images(folder, seed=0, scenes=N_SCENES, jobs=-1):
     scenes : int
     jobs : int
         Processes; -1 for one a core.
+    scene : str
+        Of `SCENES`.
     """
     counts, rows = {"vehicles": 0, "non-vehicles": 0}, []
     seeds = list(range(seed + 1000, seed + 1000 + scenes))
-    found = in_parallel(cut_scene, seeds, jobs, "training images")
+    found = in_parallel(partial(cut_scene, scene=scene), seeds, jobs, scene)
     for number, (frame, truth, images) in enumerate(found, start=1):
         write_image(folder / "scenes" / f"{number:05d}.jpg", frame)
         rows += truth_rows(number, truth)
@@ -362,7 +362,7 @@ def write_chessboards(folder, seed, jobs):
 
 
 PARTS = {
-    "training": lambda a: write_training_images(a.out, a.seed, a.scenes, a.jobs),
+    "training": lambda a: write_training_images(a.out, a.seed, a.scenes, a.jobs, a.scene),
     "images": lambda a: write_test_images(a.out, a.seed, a.jobs),
     "video": lambda a: write_video(a.out, a.seed, a.jobs, a.seconds),
     "chessboards": lambda a: write_chessboards(a.out, a.seed, a.jobs),
@@ -384,6 +384,7 @@ def parse_arguments(arguments=None):
     parser.add_argument(
         "--scenes", type=int, default=N_SCENES, help="scenes to write, and to cut images from"
     )
+    parser.add_argument("--scene", choices=SCENES, default="motorway", help="of training images")
     parser.add_argument("--seconds", type=float, default=20, help="length of the video")
     parser.add_argument("--jobs", type=int, default=-1, help="processes; -1: one a core")
     return parser.parse_args(arguments)

@@ -8,7 +8,13 @@ import pytest
 from conftest import ROOT
 from pipeline_functions import find_cars
 from rendered_road.render import BODIES, Actor, Camera, View, _actor_mesh, make_world, render
-from rendered_road.sample import cut_scene, driving_world, random_scene, truth_rows
+from rendered_road.sample import (
+    cut_scene,
+    driving_world,
+    random_scene,
+    town_scene,
+    truth_rows,
+)
 from vehicle_detection.classifier import load_classifier
 from vehicle_detection.parameters import SearchParams
 
@@ -160,3 +166,27 @@ def overlaps(box, others):
     common = np.clip(high - low, 0, None).prod(axis=1)
     area = (box[2:] - box[:2]).prod() + (others[:, 2:] - others[:, :2]).prod(axis=1)
     return common / (area - common)
+
+
+def test_a_town_shows_vehicles_from_all_sides():
+    aspects = []
+    for seed in range(4):
+        frame, truth = render(town_scene(seed), 0.0)
+        assert frame.shape == (720, 1280, 3)
+        boxes = np.array([box.box for box in truth if box.required])
+        aspects += ((boxes[:, 2] - boxes[:, 0]) / (boxes[:, 3] - boxes[:, 1])).tolist()
+    # From behind a car is about as wide as high, from the side at least twice as wide.
+    assert min(aspects) < 1.3 and max(aspects) > 2
+
+
+@pytest.mark.parametrize("yaw", [0.5, np.pi / 2, np.pi, -2.0])
+def test_truth_of_a_turned_vehicle_is_where_it_is_drawn(yaw):
+    actor = Actor(1, "estate", (1.0, 0.0, 1.0), 18.0, 0.0, 1.0, yaw=yaw, style=3)
+    empty, _ = render(make_world(3), 0.0)
+    frame, (box,) = render(make_world(3, [actor]), 0.0)
+    changed = frame.astype(int) - empty
+    rows, columns = np.nonzero((changed[..., 0] - changed[..., 1]) > 30)
+    left, top, right, bottom = box.box
+    assert left - 1.5 <= columns.min() < left + 0.1 * (right - left) + 3
+    assert right - 0.1 * (right - left) - 4 < columns.max() <= right + 1.5
+    assert top - 1.5 <= rows.min() < top + 0.15 * (bottom - top) + 3
