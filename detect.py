@@ -55,6 +55,10 @@ def parse_arguments(arguments=None):
         help="from two_stage.training or, with --method G or B, from train.py; default: shipped",
     )  # fmt: skip
     parser.add_argument(
+        "--trust", nargs="+", default=[], metavar="MODULE.CLASS",
+        help="classes to admit in a classifier's file, beside scikit-learn's scaler and SVMs",
+    )  # fmt: skip
+    parser.add_argument(
         "--calib", type=Path, help="calibration file: pictures are then drawn undistorted"
     )
     parser.add_argument(
@@ -128,9 +132,12 @@ def open_vehicle(arguments, is_still):
 
         return TwoStageVehicle(*paths, *((STILL_SCAN, STILL_TRACKS) if is_still else ()))
     from vehicle import Vehicle
+    from vehicle_detection.classifier import load_classifier
 
+    calib, param = paths
+    classifier = load_classifier(param, arguments.trust)
     heat_filter = FILTER_PRESETS["still" if is_still else arguments.method]
-    return Vehicle(*paths, chosen_search(arguments), heat_filter)
+    return Vehicle(calib, classifier, chosen_search(arguments), heat_filter)
 
 
 def run(arguments):

@@ -374,9 +374,9 @@ def find_cars(frame, classifier, search, boxes=None):
     frame : ndarray of uint8, shape (rows, columns, 3)
         RGB.
     classifier : object
-        With `params`, its FeatureParams; `linear`, weights and bias of a
-        linear decision function or None; `decision_function`, which takes
-        features of shape (n, params.n_features) and returns n scores.
+        With `params`, its FeatureParams, and `decision_function`, which takes features of
+        shape (n, params.n_features) and returns n scores. If it has `linear`, weights and
+        bias of a linear decision function, scores take a tenth of the time.
     search : SearchParams
     boxes : ndarray of int, shape (n, 4), optional
         Visit only windows near these boxes.
@@ -442,8 +442,9 @@ def _score_region(resized, region, classifier, search):
         cut.append(slice(first, min(length, windows.stop * step + params.window_size)))
         inner.append(slice(before, before + windows.stop - windows.start))
     img, inner = resized[tuple(cut)], tuple(inner)
-    if classifier.linear is not None:
-        return dense_scores(img, params, search.cells_per_step, *classifier.linear)[inner]
+    linear = getattr(classifier, "linear", None)
+    if linear is not None:
+        return dense_scores(img, params, search.cells_per_step, *linear)[inner]
     features = dense_features(img, params, search.cells_per_step)[inner]
     scores = classifier.decision_function(features.reshape(-1, params.n_features))
     return scores.reshape(features.shape[:2])

@@ -1,11 +1,14 @@
 """Training on a small made-up set, and the parameter file."""
 
+import os
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from sklearn.linear_model import LogisticRegression
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 
@@ -14,6 +17,7 @@ from conftest import ROOT, random_classifier, textured_image
 from pipeline_functions import extract_features
 from vehicle_detection.classifier import load_classifier, save_classifier
 from vehicle_detection.media import training_images
+from vehicle_detection.media.calibration import load_calibration
 from vehicle_detection.media.images import read_image, write_image
 from vehicle_detection.media.training_images import read_windows
 from vehicle_detection.parameters import FEATURE_PRESETS, FeatureParams
@@ -182,3 +186,62 @@ def test_unreadable_parameter_file_is_refused(tmp_path):
         path.write_bytes(content)
         with pytest.raises(ValueError, match="not a parameter file"):
             load_classifier(path)
+
+
+class Payload:
+    """What a hostile file would run when it is read."""
+
+    def __init__(self, function, *arguments):
+        self.call = function, arguments
+
+    def __reduce__(self):
+        return self.call
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        Payload(os.system, "touch hacked"),
+        Payload(eval, "open('hacked', 'w')"),
+        Payload(subprocess.check_call, ["touch", "hacked"]),
+        np.array([Payload(os.system, "touch hacked")], object),
+        [{"nested": Payload(getattr, "text", "upper")}],
+    ],
+    ids=["system", "eval", "subprocess", "object array", "nested"],
+)
+def test_a_hostile_file_runs_nothing(tmp_path, monkeypatch, payload):
+    monkeypatch.chdir(tmp_path)
+    path = stored(tmp_path / "svc.p", svm=payload)
+    with pytest.raises(ValueError, match=r"not admitted; if you trust the file, .*--trust"):
+        load_classifier(path)
+    (tmp_path / "calib.p").write_bytes(pickle.dumps(payload))
+    with pytest.raises(ValueError, match="not a calibration"):
+        load_calibration(tmp_path / "calib.p")
+    assert not (tmp_path / "hacked").exists()
+
+
+def test_a_class_of_ones_own_is_admitted_by_name(tmp_path):
+    logistic = random_classifier(FeatureParams(hist_color="RGB"))
+    features = np.random.default_rng(0).normal(size=(40, 96))
+    svm = LogisticRegression().fit(features, np.arange(40) % 2)
+    path = tmp_path / "svc.p"
+    save_classifier(replace(logistic, svm=svm), path)
+    name = "sklearn.linear_model._logistic.LogisticRegression"
+    with pytest.raises(ValueError, match=f"--trust {name}"):
+        load_classifier(path)
+    loaded = load_classifier(path, [name])
+    np.testing.assert_allclose(loaded.svm.coef_, svm.coef_)
+
+
+@pytest.mark.parametrize("damage", ["weights", "scale", "mean"])
+def test_impossible_numbers_are_refused(tmp_path, damage):
+    classifier = random_classifier(FeatureParams(hist_color="RGB"))
+    if damage == "weights":
+        classifier.svm.coef_[0, 3] = np.nan
+    elif damage == "scale":
+        classifier.scaler.scale_[5] = 0
+    else:
+        classifier.scaler.mean_[5] = np.inf
+    save_classifier(classifier, tmp_path / "svc.p")
+    with pytest.raises(ValueError, match="not finite, or scales"):
+        load_classifier(tmp_path / "svc.p")

@@ -9,6 +9,7 @@ import numpy as np
 import sklearn
 from sklearn.preprocessing import StandardScaler
 
+from vehicle_detection.media import safe_pickle
 from vehicle_detection.media.files import write_whole
 from vehicle_detection.parameters import FeatureParams
 
@@ -21,7 +22,8 @@ class Classifier:
 
     Attributes
     ----------
-    svm : sklearn.svm.LinearSVC or sklearn.svm.SVC
+    svm : object
+        LinearSVC, SVC, or any classifier of scikit-learn with a `decision_function`.
     scaler : sklearn.preprocessing.StandardScaler
     params : FeatureParams
     data_counts : dict of str to int
@@ -80,27 +82,38 @@ def save_classifier(classifier, path):
     write_whole(path, pickle.dumps(content))
 
 
-def load_classifier(path):
+def load_classifier(path, trusted=()):
     """Read and check a classifier that `save_classifier` wrote.
 
-    Unpickling runs code: load only files you trust.
+    Parameters
+    ----------
+    path : path
+    trusted : sequence of str
+        Classes to admit beside scikit-learn's scaler and SVMs, see `safe_pickle.loads`.
+
+    Returns
+    -------
+    classifier : Classifier
 
     Raises
     ------
     FileNotFoundError
         There is no such file.
     ValueError
-        It is no parameter file, or one of another format, another
-        scikit-learn, or of features of another length.
+        It is no parameter file, or one of another format, another scikit-learn, of features
+        of another length, or of numbers that are not finite; or it names a class that is not
+        admitted.
     """
     path = Path(path)
     again = "run train.py to make it anew"
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such parameter file: {again}")
-    # Unpickling what is no such file can fail in any way whatever.
+    # What is no such file can fail in any way whatever.
     try:
-        content = pickle.loads(path.read_bytes())
+        content = safe_pickle.loads(path.read_bytes(), trusted)
         version, made_with = content["format_version"], content["sklearn_version"]
+    except pickle.UnpicklingError as error:
+        raise ValueError(f"{path}: not a parameter file of train.py: {error}: {again}") from error
     except Exception as error:
         raise ValueError(f"{path}: not a parameter file of train.py: {again}") from error
     if version != FORMAT_VERSION:
@@ -112,10 +125,22 @@ def load_classifier(path):
         )
     try:
         params = FeatureParams(**content["params"])
-        fitted = (content["scaler"].n_features_in_, content["svm"].n_features_in_)
-        lengths = {content["n_features"], params.n_features, *fitted}
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        classifier = Classifier(content["svm"], content["scaler"], params, content["data_counts"])
+        _require_sound(classifier, content["n_features"])
+    except (AttributeError, KeyError, TypeError) as error:
         raise ValueError(f"{path}: not a parameter file of train.py: {again}") from error
+    except ValueError as error:
+        raise ValueError(f"{path}: not a parameter file of train.py: {error}: {again}") from error
+    return classifier
+
+
+def _require_sound(classifier, n_features):
+    """Raise ValueError unless lengths agree and numbers are finite, scales above 0."""
+    scaler, svm = classifier.scaler, classifier.svm
+    lengths = {n_features, classifier.params.n_features, scaler.n_features_in_, svm.n_features_in_}
     if len(lengths) > 1:
-        raise ValueError(f"{path}: feature lengths {sorted(lengths)} do not agree: {again}")
-    return Classifier(content["svm"], content["scaler"], params, content["data_counts"])
+        raise ValueError(f"feature lengths {sorted(lengths)} do not agree")
+    numbers = [scaler.mean_, scaler.scale_, svm.intercept_]
+    numbers.append(svm.coef_ if hasattr(svm, "coef_") else svm.support_vectors_)
+    if not all(np.isfinite(values).all() for values in numbers) or (scaler.scale_ <= 0).any():
+        raise ValueError("numbers that are not finite, or scales that are not above 0")

@@ -54,7 +54,7 @@ def test_too_few_boards_are_said(photos):
 
 
 def test_wrong_calibration_file_is_refused(tmp_path):
-    with pytest.raises(FileNotFoundError, match="run calibrate.py"):
+    with pytest.raises(FileNotFoundError, match="no such calibration"):
         load_calibration(tmp_path / "calib.p")
     (tmp_path / "calib.p").write_bytes(b"text")
     with pytest.raises(ValueError, match="not a calibration"):

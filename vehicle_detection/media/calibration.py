@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from tqdm.auto import tqdm
 
+from vehicle_detection.media import safe_pickle
 from vehicle_detection.media.files import write_whole
 from vehicle_detection.media.images import find_images, read_image
 
@@ -139,26 +140,26 @@ def save_calibration(calibration, path):
 def load_calibration(path):
     """Read what `save_calibration` wrote.
 
-    Unpickling runs code: load only files you trust.
-
     Raises
     ------
     FileNotFoundError, ValueError
-        The file is missing; it is no calibration.
+        The file is missing; it is no calibration, or one of impossible numbers.
     """
     path = Path(path)
+    how = "make it anew, see docs/training.md"
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such calibration: make one, see docs/training.md")
-    # Unpickling what is no such file can fail in any way whatever.
+        raise FileNotFoundError(f"{path}: no such calibration: {how}")
+    # What is no such file can fail in any way whatever.
     try:
-        calibration = Calibration(**pickle.loads(path.read_bytes()))
-        shapes = np.shape(calibration.mtx), np.shape(calibration.dist), len(calibration.image_size)
+        calibration = Calibration(**safe_pickle.loads(path.read_bytes()))
+        mtx, dist, size = calibration.mtx, calibration.dist, calibration.image_size
+        shapes = np.shape(mtx), np.shape(dist), np.shape(size)
+        possible = np.isfinite(mtx).all() and np.isfinite(dist).all() and min(size) > 0
+        possible = possible and mtx[0, 0] > 0 and mtx[1, 1] > 0
     except Exception as error:
-        raise ValueError(
-            f"{path}: not a calibration: make it anew, see docs/training.md"
-        ) from error
-    if shapes != ((3, 3), (1, 5), 2):
-        raise ValueError(f"{path}: not a calibration: make it anew, see docs/training.md")
+        raise ValueError(f"{path}: not a calibration: {error}: {how}") from error
+    if shapes != ((3, 3), (1, 5), (2,)) or not possible:
+        raise ValueError(f"{path}: not a calibration: {how}")
     return calibration
 
 
