@@ -26,7 +26,7 @@ CELL_FEATURES = ORIENTATIONS + 3
 CHROMA_FEATURES = 2 * ORIENTATIONS
 # Left, top, right, bottom: how much of the margin is outside of the frame.
 N_BORDERS = 4
-N_SCORER_FEATURES = PATCH_CELLS**2 * CELL_FEATURES + N_BORDERS
+N_SCORER_FEATURES = PATCH_SIDE**2 * CELL_FEATURES + N_BORDERS
 N_REGRESSOR_FEATURES = PATCH_SIDE**2 * (CELL_FEATURES + CHROMA_FEATURES) + N_BORDERS
 _INNER = slice(PATCH_MARGIN, PATCH_MARGIN + PATCH_CELLS)
 
@@ -300,12 +300,12 @@ def margins_outside(boxes, frame_shape):
 
 
 def scorer_features(features, outside):
-    """What tells vehicles: boxes without margins, and `margins_outside`.
+    """What tells vehicles: boxes with their margins, and `margins_outside`.
 
+    What surrounds a box tells a vehicle from a part of one, and from a window of a house.
     Shape (n, N_SCORER_FEATURES).
     """
-    cells = features[:, _INNER, _INNER].reshape(-1, N_SCORER_FEATURES - N_BORDERS)
-    return np.hstack([cells, outside])
+    return np.hstack([features.reshape(-1, N_SCORER_FEATURES - N_BORDERS), outside])
 
 
 def regressor_features(features, chroma, outside):

@@ -14,7 +14,7 @@ from vehicle_detection.two_stage.features import (
 )
 from vehicle_detection.two_stage.proposals import WINDOW_COLUMNS, WINDOW_ROWS
 
-FORMAT_VERSION = 7
+FORMAT_VERSION = 8
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Detector:
     ----------
     templates : tuple of Template
     scorer : KernelMachine
-        From the inner cells of a patch to a decision function.
+        From the luma and colours of a patch to a decision function.
     regressor : KernelMachine
         From all cells of a patch to shifts of the four edges, in widths and
         heights of the box.
