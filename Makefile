@@ -46,6 +46,7 @@ test-dask: .venv/installed
 lint: .venv/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/mypy
 
 video: .venv/installed
 	@test -n "$(VIDEO)" || { echo 'error: which video? make video VIDEO=path/to/drive.mp4'; exit 1; }

@@ -5,6 +5,13 @@ python detect.py drive.mp4 --out output
 python detect.py drive.mp4 --method G    the write-up's pipeline
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import SearchParams
+
 import argparse
 import sys
 from dataclasses import replace
@@ -30,7 +37,7 @@ ENCODER_PRESETS = (
 )  # fmt: skip
 
 
-def parse_arguments(arguments=None):
+def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
     """Command line to a namespace; `--help` explains it."""
     parser = argparse.ArgumentParser(
         description="Box the vehicles in images and videos. Writes an annotated copy of each "
@@ -75,7 +82,7 @@ def parse_arguments(arguments=None):
     return chosen
 
 
-def add_search_options(parser):
+def add_search_options(parser: argparse.ArgumentParser) -> None:
     """Options that spare the write-ups' search some windows."""
     group = parser.add_argument_group("fewer windows", "with --method G or B")
     group.add_argument(
@@ -89,7 +96,7 @@ def add_search_options(parser):
     )  # fmt: skip
 
 
-def share(text):
+def share(text: str) -> float:
     """A number between 0 and 1 from the command line."""
     value = float(text)
     if not 0 < value < 1:
@@ -97,7 +104,7 @@ def share(text):
     return value
 
 
-def chosen_search(arguments):
+def chosen_search(arguments: argparse.Namespace) -> SearchParams:
     """The preset search, with what the command line changes of it."""
     search = SEARCH_PRESETS[arguments.method]
     if arguments.horizon is not None:
@@ -107,7 +114,7 @@ def chosen_search(arguments):
     return search
 
 
-def open_vehicle(arguments, is_still):
+def open_vehicle(arguments: argparse.Namespace, is_still: bool) -> Any:
     """The detector that the command line asks for.
 
     Parameters
@@ -140,7 +147,7 @@ def open_vehicle(arguments, is_still):
     return Vehicle(calib, classifier, chosen_search(arguments), heat_filter)
 
 
-def run(arguments):
+def run(arguments: argparse.Namespace) -> None:
     """Annotate all inputs."""
     # Not at the top: `--help` would wait for the video and array libraries.
     from tqdm.auto import tqdm
@@ -164,7 +171,7 @@ def run(arguments):
     print(f"wrote {len(images)} images and {len(videos)} videos to {arguments.out}")
 
 
-def main():
+def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
     try:

@@ -7,6 +7,13 @@ Every image is RGB, uint8, shape (rows, columns, 3). Every box is
 boxes travel as int arrays of shape (n, 4).
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import FeatureParams, SearchParams
+
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil
@@ -34,7 +41,7 @@ _CONVERSIONS = {
 # -------------------------------------------------------------------- colour
 
 
-def convert_color(img, conv):
+def convert_color(img: np.ndarray, conv: str) -> np.ndarray:
     """Convert an RGB image to another colour space.
 
     Parameters
@@ -65,7 +72,7 @@ def convert_color(img, conv):
 _IMAGES_PER_STRIP = 50
 
 
-def bin_spatial(img, size):
+def bin_spatial(img: np.ndarray, size: int) -> np.ndarray:
     """The image shrunk to `size` x `size` pixels, as one vector.
 
     Parameters
@@ -81,7 +88,7 @@ def bin_spatial(img, size):
     return cv2.resize(img, (size, size), interpolation=cv2.INTER_LINEAR).ravel()
 
 
-def color_hist(img, nbins=32, bins_range=(0, 256)):
+def color_hist(img: np.ndarray, nbins: int = 32, bins_range: tuple = (0, 256)) -> np.ndarray:
     """Histograms of the channels, one after the other.
 
     The range is fixed, so that a bin means the same in every image.
@@ -106,7 +113,14 @@ def color_hist(img, nbins=32, bins_range=(0, 256)):
     )
 
 
-def get_hog_features(img, orient, pix_per_cell, cell_per_block, vis=False, feature_vec=True):
+def get_hog_features(
+    img: np.ndarray,
+    orient: int,
+    pix_per_cell: int,
+    cell_per_block: int,
+    vis: bool = False,
+    feature_vec: bool = True,
+) -> tuple:
     """HOG of one channel, square-root transform, L2-Hys.
 
     Parameters
@@ -145,7 +159,7 @@ def get_hog_features(img, orient, pix_per_cell, cell_per_block, vis=False, featu
     return features, picture
 
 
-def extract_features(images, params):
+def extract_features(images: np.ndarray, params: FeatureParams) -> np.ndarray:
     """Feature vectors of images of the size of a window.
 
     Parameters
@@ -181,7 +195,7 @@ def extract_features(images, params):
     return features
 
 
-def dense_features(img, params, cells_per_step):
+def dense_features(img: np.ndarray, params: FeatureParams, cells_per_step: int) -> np.ndarray:
     """Feature vectors of all windows of an image.
 
     Parameters
@@ -200,7 +214,9 @@ def dense_features(img, params, cells_per_step):
     return dense_windows.dense_features(_planes(img, params), params, cells_per_step)
 
 
-def dense_scores(img, params, cells_per_step, weights, bias):
+def dense_scores(
+    img: np.ndarray, params: Any, cells_per_step: int, weights: np.ndarray, bias: float
+) -> np.ndarray:
     """Products of the feature vectors of all windows with weights, plus a bias.
 
     What windows share is not copied for each: a sixth of the time of `dense_features`.
@@ -290,7 +306,7 @@ def _window_grids(frame_shape, params, search):
     return grids
 
 
-def slide_window(frame_shape, params, search):
+def slide_window(frame_shape: tuple, params: FeatureParams, search: SearchParams) -> np.ndarray:
     """All windows of a search, band by band, row by row.
 
     Parameters
@@ -313,7 +329,7 @@ def slide_window(frame_shape, params, search):
     return np.concatenate([windows.reshape(-1, 4) for _, windows in grids])
 
 
-def may_hold_vehicle(windows, frame_shape, search):
+def may_hold_vehicle(windows: np.ndarray, frame_shape: tuple, search: SearchParams) -> np.ndarray:
     """Which windows could frame a vehicle that stands on the road.
 
     On a flat road the width of a vehicle in pixels is W / h times the
@@ -342,7 +358,7 @@ def may_hold_vehicle(windows, frame_shape, search):
     return (0.6 * below < size) & (size < 3.5 * below) & (aside < 7 * size + width / 6)
 
 
-def are_near(windows, boxes):
+def are_near(windows: np.ndarray, boxes: np.ndarray) -> np.ndarray:
     """Which windows have their middle in one of the boxes, made twice as large.
 
     Parameters
@@ -366,7 +382,9 @@ def are_near(windows, boxes):
 # -------------------------------------------------------------------- search
 
 
-def find_cars(frame, classifier, search, boxes=None):
+def find_cars(
+    frame: np.ndarray, classifier: Any, search: SearchParams, boxes: np.ndarray | None = None
+) -> tuple:
     """Score the windows of a frame.
 
     Parameters
@@ -389,13 +407,14 @@ def find_cars(frame, classifier, search, boxes=None):
         Decision function; above `search.threshold` a window is hot.
     """
     grids = _window_grids(frame.shape[:2], classifier.params, search)
-    results = side_by_side(lambda grid: _score_band(frame, *grid, classifier, search, boxes), grids)
+    results = side_by_side(lambda grid: _score_band(frame, grid, classifier, search, boxes), grids)
     windows, scores = zip(*results, strict=True)
     return np.concatenate(windows), np.concatenate(scores)
 
 
-def _score_band(frame, band, windows, classifier, search, boxes):
+def _score_band(frame, grid, classifier, search, boxes):
     """Windows of one band that are to be visited, and their scores."""
+    band, windows = grid
     visited = np.ones(windows.shape[:2], bool)
     if search.x_limits is not None:
         left, right = np.array(search.x_limits) * frame.shape[1] / search.reference_size[0]
@@ -471,22 +490,22 @@ class HeatGrid:
     y_edges: np.ndarray
 
     @classmethod
-    def of_windows(cls, windows):
+    def of_windows(cls, windows: np.ndarray) -> HeatGrid:
         """Grid of the edges of `windows`, int array of shape (n, 4)."""
         return cls(np.unique(windows[:, [0, 2]]), np.unique(windows[:, [1, 3]]))
 
-    def zeros(self):
+    def zeros(self) -> np.ndarray:
         """Empty heatmap of this grid, float64."""
         return np.zeros((len(self.y_edges) - 1, len(self.x_edges) - 1))
 
-    def to_cells(self, boxes):
+    def to_cells(self, boxes: np.ndarray) -> np.ndarray:
         """Boxes in pixels, all on the grid's edges, to boxes in cells."""
         boxes = np.asarray(boxes).reshape(-1, 4)
         x = np.searchsorted(self.x_edges, boxes[:, [0, 2]])
         y = np.searchsorted(self.y_edges, boxes[:, [1, 3]])
         return np.stack([x[:, 0], y[:, 0], x[:, 1], y[:, 1]], axis=1)
 
-    def to_pixels(self, boxes):
+    def to_pixels(self, boxes: np.ndarray) -> np.ndarray:
         """Boxes in cells to boxes in pixels."""
         left, top, right, bottom = np.asarray(boxes, int).reshape(-1, 4).T
         return np.stack(
@@ -494,7 +513,7 @@ class HeatGrid:
             axis=1,
         )
 
-    def expand(self, heatmap, frame_shape):
+    def expand(self, heatmap: np.ndarray, frame_shape: tuple) -> np.ndarray:
         """Heatmap of cells to one of pixels, zero where no window lies."""
         full = np.zeros(frame_shape[:2], heatmap.dtype)
         rows, columns = np.diff(self.y_edges), np.diff(self.x_edges)
@@ -504,7 +523,7 @@ class HeatGrid:
         return full
 
 
-def add_heat(heatmap, boxes):
+def add_heat(heatmap: np.ndarray, boxes: np.ndarray) -> np.ndarray:
     """One more for every cell of the map that a box covers, box by box.
 
     Parameters
@@ -524,12 +543,12 @@ def add_heat(heatmap, boxes):
     return heatmap
 
 
-def apply_threshold(heatmap, threshold):
+def apply_threshold(heatmap: np.ndarray, threshold: float) -> np.ndarray:
     """The map with everything up to and including `threshold` set to zero."""
     return np.where(heatmap > threshold, heatmap, 0)
 
 
-def keep_lasting_heat(heatmaps, n_occ_thr):
+def keep_lasting_heat(heatmaps: np.ndarray, n_occ_thr: int) -> np.ndarray:
     """Sum heatmaps over time, without what did not last.
 
     G's filter: heat that touches in space or from one frame to the next is
@@ -554,7 +573,7 @@ def keep_lasting_heat(heatmaps, n_occ_thr):
 # -------------------------------------------------------------------- labels
 
 
-def labeled_boxes(labels):
+def labeled_boxes(labels: np.ndarray) -> np.ndarray:
     """Bounding box of every label, in order.
 
     Parameters
@@ -571,7 +590,7 @@ def labeled_boxes(labels):
     return np.array(boxes, int).reshape(-1, 4)
 
 
-def find_blobs(heatmap):
+def find_blobs(heatmap: np.ndarray) -> tuple:
     """Boxes of the connected parts of a thresholded heatmap, with their peaks.
 
     Parameters
@@ -593,7 +612,9 @@ def find_blobs(heatmap):
 # ------------------------------------------------------------------- drawing
 
 
-def draw_labeled_bboxes(img, labels, color=(0, 0, 255), thickness=4):
+def draw_labeled_bboxes(
+    img: np.ndarray, labels: np.ndarray, color: tuple = (0, 0, 255), thickness: int = 4
+) -> np.ndarray:
     """A copy of the image with the bounding box of every label on it.
 
     `labels` is as large as the image, see `labeled_boxes`.

@@ -4,6 +4,14 @@ python train.py                      data/ if it is there, else the rendered sam
 python train.py path/to/folder       with vehicles/ and non-vehicles/ in it
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.media.training_images import TrainingImages
+    from vehicle_detection.parameters import FeatureParams
+
 import argparse
 import sys
 import time
@@ -24,7 +32,7 @@ from vehicle_detection.parameters import FEATURE_PRESETS
 DATA, SAMPLE = Path("data"), Path("output/sample")
 
 
-def parse_arguments(arguments=None):
+def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
     """Command line to a namespace; `--help` explains it."""
     parser = argparse.ArgumentParser(
         description="Train scaler and SVM on images of vehicles and of everything else.",
@@ -54,7 +62,7 @@ def parse_arguments(arguments=None):
     return parser.parse_args(arguments)
 
 
-def find_data(folder=None):
+def find_data(folder: Path | None = None) -> Path:
     """The folder of training images: the one given, `data/`, or the rendered sample.
 
     Raises
@@ -75,7 +83,9 @@ def find_data(folder=None):
     return SAMPLE
 
 
-def fit_linear(features, labels, C, seed, loss="squared_hinge"):
+def fit_linear(
+    features: np.ndarray, labels: np.ndarray, C: float, seed: int, loss: str = "squared_hinge"
+) -> tuple:
     """Scaler and linear SVM.
 
     Parameters
@@ -97,7 +107,7 @@ def fit_linear(features, labels, C, seed, loss="squared_hinge"):
     return scaler, svm
 
 
-def fit_searched(features, labels, jobs, folds=5):
+def fit_searched(features: np.ndarray, labels: np.ndarray, jobs: int, folds: int = 5) -> tuple:
     """Scaler and the best SVM of G's grid; the scaler is fitted fold by fold.
 
     Parameters
@@ -127,14 +137,16 @@ def fit_searched(features, labels, jobs, folds=5):
     return search.best_estimator_["standardscaler"], search.best_estimator_["svc"]
 
 
-def fit(features, labels, arguments):
+def fit(features: np.ndarray, labels: np.ndarray, arguments: argparse.Namespace) -> tuple:
     """Scaler and SVM as the command line asks for them."""
     if arguments.search:
         return fit_searched(features, labels, arguments.jobs)
     return fit_linear(features, labels, arguments.C, arguments.seed)
 
 
-def train(training_set, params, arguments):
+def train(
+    training_set: TrainingImages, params: FeatureParams, arguments: argparse.Namespace
+) -> Classifier:
     """From images to a classifier; prints how good it is.
 
     Parameters
@@ -170,7 +182,7 @@ def train(training_set, params, arguments):
     return fitted_without(np.isin(np.arange(len(labels)), test))
 
 
-def report(classifier, features, labels):
+def report(classifier: Any, features: np.ndarray, labels: np.ndarray) -> None:
     """Print accuracy and confusion matrix on the held-out images."""
     predicted = classifier.decision_function(features) > 0
     print(f"  accuracy: {accuracy_score(labels, predicted):.4f} on {len(labels)} images")
@@ -181,7 +193,7 @@ def report(classifier, features, labels):
     print(f"  non-vehicles: {true_negative} left alone, {false_positive} taken for vehicles")
 
 
-def main():
+def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
     start = time.perf_counter()

@@ -5,6 +5,14 @@
 hot windows -> heat -> heat of the last frames -> threshold -> labels -> boxes
 """
 
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import FilterParams, SearchParams
+
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,10 +97,10 @@ class Vehicle(Viewer):
 
     def __init__(
         self,
-        path_calib=None,
-        path_param=SHIPPED_CLASSIFIER,
-        search=SEARCH_PRESETS["G"],
-        heat_filter=FILTER_PRESETS["G"],
+        path_calib: str | os.PathLike | None = None,
+        path_param: Any = SHIPPED_CLASSIFIER,
+        search: SearchParams = SEARCH_PRESETS["G"],
+        heat_filter: FilterParams = FILTER_PRESETS["G"],
     ):
         super().__init__(path_calib)
         self.search = search
@@ -101,22 +109,22 @@ class Vehicle(Viewer):
         self.threshold = heat_filter.threshold
         self.load_param_detect(path_param)
 
-    def load_param_detect(self, path):
+    def load_param_detect(self, path: str | os.PathLike) -> None:
         """Take a classifier, or the path of one; forgets all frames."""
         has_scores = hasattr(path, "decision_function")
         self.classifier = path if has_scores else load_classifier(path)
         self.reset()
 
-    def reset(self):
+    def reset(self) -> None:
         """Forget all frames: the next one begins another video."""
-        self._frame_shape = None
+        self._frame_shape: tuple | None = None
         self._n_frames = 0
         self._tracker = Tracker(HEAT_TRACKS)
-        self._grid = None
-        self._warmth = None
+        self._grid: Any = None
+        self._warmth: np.ndarray | None = None
         self._heatmaps = deque(maxlen=self.n_acc)
 
-    def detect(self, rgb_frame):
+    def detect(self, rgb_frame: np.ndarray) -> HeatDetections:
         """Search the next frame of the video.
 
         Parameters
@@ -153,7 +161,7 @@ class Vehicle(Viewer):
         labels, _ = label(self._warmth)
         return self._grid.to_pixels(labeled_boxes(labels))
 
-    def remember(self, hot_windows):
+    def remember(self, hot_windows: np.ndarray) -> HeatDetections:
         """Add the hot windows of the next frame to the memory, and see what lasts.
 
         Parameters
@@ -174,11 +182,11 @@ class Vehicle(Viewer):
         boxes = self._grid.to_pixels(cells)
         self._tracker.predict()
         # What lasts needs no further evidence.
-        tracks = self._tracker.update(boxes, np.ones(len(boxes)))
-        ids = np.array([track.identity for track in tracks], int)
+        tracks: list = self._tracker.update(boxes, np.ones(len(boxes)))
+        ids = np.array([track.identity for track in tracks], dtype=int)
         return HeatDetections(hot_windows, heatmap, filtered, self._grid, boxes, scores, ids)
 
-    def step_pictures(self, rgb_frame, detections):
+    def step_pictures(self, rgb_frame: np.ndarray, detections: Any) -> list:
         """Hot windows, heat, heat that lasts and boxes, each drawn on the frame.
 
         Returns

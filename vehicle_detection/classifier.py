@@ -1,9 +1,14 @@
 """The trained classifier: scaler and SVM as one object, and its file."""
 
+from __future__ import annotations
+
+import os
 import pickle
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import sklearn
@@ -30,12 +35,12 @@ class Classifier:
         How many images of each class it was trained on.
     """
 
-    svm: object
+    svm: Any
     scaler: StandardScaler
     params: FeatureParams
     data_counts: dict
 
-    def decision_function(self, features):
+    def decision_function(self, features: np.ndarray) -> np.ndarray:
         """Scores of feature vectors, positive for vehicles.
 
         Parameters
@@ -55,7 +60,7 @@ class Classifier:
         return self.svm.decision_function(self.scaler.transform(features))
 
     @cached_property
-    def linear(self):
+    def linear(self) -> tuple | None:
         """Scaler and linear SVM in one: w (x - mean) / scale + b = w' x + b'.
 
         Weights, ndarray of float32, shape (n_features,), and bias; None for
@@ -68,7 +73,7 @@ class Classifier:
         return weights.astype(np.float32), bias
 
 
-def save_classifier(classifier, path):
+def save_classifier(classifier: Any, path: str | os.PathLike) -> None:
     """Write a classifier; the file appears under its name only when whole."""
     content = {
         "format_version": FORMAT_VERSION,
@@ -82,7 +87,7 @@ def save_classifier(classifier, path):
     write_whole(path, pickle.dumps(content))
 
 
-def load_classifier(path, trusted=()):
+def load_classifier(path: str | os.PathLike, trusted: Sequence = ()) -> Classifier:
     """Read and check a classifier that `save_classifier` wrote.
 
     Parameters

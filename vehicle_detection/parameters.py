@@ -4,18 +4,20 @@ Every attribute states its unit and what it does; `__post_init__` states its ran
 stand below the class that they fill. This module imports nothing but the standard library.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 COLOR_SPACES = ("RGB", "YCrCb", "HSV", "HLS", "LUV", "YUV", "Lab", "gray")
 
 
-def require_color(name):
+def require_color(name: str) -> None:
     """Raise ValueError unless this is the name of a colour space."""
     if name not in COLOR_SPACES:
         raise ValueError(f"unknown colour space {name!r}: one of {', '.join(COLOR_SPACES)}")
 
 
-def channel_count(color):
+def channel_count(color: str | None) -> int:
     """Channels of an image in this colour space."""
     return 1 if color == "gray" else 3
 
@@ -87,19 +89,20 @@ class FeatureParams:
             raise ValueError("a gray image has no HOG channel but 0")
 
     @property
-    def colors(self):
+    def colors(self) -> set:
         """The colour spaces of the groups that are on."""
         return {self.spatial_color, self.hist_color, self.hog_color} - {None}
 
     @property
-    def hog_channels(self):
+    def hog_channels(self) -> slice:
         """The channels of which HOG is computed, as a slice."""
         if self.hog_channel == "ALL":
             return slice(channel_count(self.hog_color))
-        return slice(self.hog_channel, self.hog_channel + 1)
+        first = int(self.hog_channel)
+        return slice(first, first + 1)
 
     @property
-    def n_features(self):
+    def n_features(self) -> int:
         """Length of the feature vector of one window."""
         n = 0
         if self.spatial_color:

@@ -4,6 +4,13 @@ The numbers are those of every window by itself, but for the outermost gradients
 window, which see the pixels beyond it.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import FeatureParams
+
 from dataclasses import dataclass
 from math import gcd, prod
 
@@ -15,7 +22,7 @@ from vehicle_detection.compiled.hog import hog_blocks
 from vehicle_detection.compiled.window_sums import correlate, tile_histograms
 
 
-def window_counts(shape, window_size, step):
+def window_counts(shape: tuple, window_size: int, step: int) -> tuple:
     """How many windows lie one under another, and side by side."""
     rows, columns = ((side - window_size) // step + 1 for side in shape[:2])
     if rows < 1 or columns < 1:
@@ -23,7 +30,7 @@ def window_counts(shape, window_size, step):
     return rows, columns
 
 
-def dense_features(planes, params, cells_per_step):
+def dense_features(planes: dict, params: FeatureParams, cells_per_step: int) -> np.ndarray:
     """Feature vectors of all windows of an image, each pixel looked at once.
 
     Parameters
@@ -53,7 +60,9 @@ def dense_features(planes, params, cells_per_step):
     return features
 
 
-def dense_scores(planes, params, cells_per_step, weights, bias):
+def dense_scores(
+    planes: np.ndarray, params: Any, cells_per_step: int, weights: np.ndarray, bias: float
+) -> np.ndarray:
     """Products of the feature vectors of all windows with weights, plus a bias.
 
     What windows share is not copied for each: a sixth of the search's time.
@@ -70,7 +79,7 @@ def dense_scores(planes, params, cells_per_step, weights, bias):
     scores : ndarray of float32, shape (window rows, window columns)
     """
     counts = window_counts(_shape(planes), params.window_size, cells_per_step * params.pix_per_cell)
-    scores, start = np.float32(bias), 0
+    scores, start = np.full(counts, bias, np.float32), 0
     for grid in _feature_grids(planes, params, cells_per_step):
         shape = grid.extent, grid.extent, grid.cells.shape[2]
         size = prod(shape)
@@ -103,14 +112,14 @@ class _FeatureGrid:
     spacing: int
     step: int
 
-    def windows(self, counts):
+    def windows(self, counts: tuple) -> np.ndarray:
         """View of all windows, shape (*counts, extent, extent, depth)."""
         y, x, depth = self.cells.strides
         strides = (y * self.step, x * self.step, y * self.spacing, x * self.spacing, depth)
         shape = (*counts, self.extent, self.extent, self.cells.shape[2])
         return as_strided(self.cells, shape, strides, writeable=False)
 
-    def products(self, weights, counts):
+    def products(self, weights: np.ndarray, counts: tuple) -> np.ndarray:
         """Sums of the products of all windows with weights of (extent, extent, depth)."""
         if self.spacing > 1:
             side = (self.extent - 1) * self.spacing + 1

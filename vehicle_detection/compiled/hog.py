@@ -15,6 +15,8 @@ References
        formula 4.4.47 (arctangent, absolute error below 1e-5).
 """
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
@@ -42,7 +44,9 @@ _UNSETTLED = np.int32(-1)
 _EDGE_MARGIN = np.float32(1e-3)
 
 
-def hog_blocks(img, orientations, pix_per_cell, cells_per_block):
+def hog_blocks(
+    img: np.ndarray, orientations: int, pix_per_cell: int, cells_per_block: int
+) -> np.ndarray:
     """Normalised HOG blocks of every channel of an image.
 
     Parameters
@@ -76,7 +80,7 @@ def hog_blocks(img, orientations, pix_per_cell, cells_per_block):
     return blocks
 
 
-def cell_histograms(img, orientations, pix_per_cell):
+def cell_histograms(img: np.ndarray, orientations: int, pix_per_cell: int) -> np.ndarray:
     """Gradients of every cell by orientation, as they are before blocks normalise them.
 
     Parameters

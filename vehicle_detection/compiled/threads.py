@@ -1,7 +1,10 @@
 """Work side by side: compiled code and OpenCV run outside the interpreter's lock."""
 
+from __future__ import annotations
+
 import os
 import threading
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
@@ -31,7 +34,7 @@ def _always_within():
 _THREADS = ThreadPoolExecutor(max(1, _N_CORES - 1), initializer=_always_within)
 
 
-def side_by_side(function, items):
+def side_by_side(function: Callable, items: Sequence) -> list:
     """Call a function with every item, in as many threads as there are cores.
 
     What no thread has begun when its result is asked for is done by the
@@ -65,7 +68,7 @@ def side_by_side(function, items):
     return results
 
 
-def share(function, length, n_parts):
+def share(function: Callable, length: int, n_parts: int) -> list:
     """Call function(first, last) for parts of 0..length, side by side.
 
     Parameters
@@ -85,7 +88,7 @@ def share(function, length, n_parts):
     return side_by_side(lambda part: function(*part), list(pairwise(edges)))
 
 
-def in_parallel(function, items, jobs, title):
+def in_parallel(function: Callable, items: list, jobs: int, title: str) -> Iterator:
     """Yield function(item) of all items in order, from several processes, with a progress bar.
 
     Parameters

@@ -3,6 +3,8 @@
 What neighbouring windows share is read in place instead of being copied for each of them.
 """
 
+from __future__ import annotations
+
 import numpy as np
 from numba import njit
 
@@ -16,7 +18,9 @@ _WORTH_A_THREAD = 800_000
 
 
 @njit(**_COMPILE)
-def tile_histograms(channel, bin_of_value, n_bins, tile):
+def tile_histograms(
+    channel: np.ndarray, bin_of_value: np.ndarray, n_bins: int, tile: int
+) -> np.ndarray:
     """Histogram of the pixel values of every square tile of a channel.
 
     Parameters
@@ -44,7 +48,7 @@ def tile_histograms(channel, bin_of_value, n_bins, tile):
     return histograms
 
 
-def correlate(cells, weights, step, shape):
+def correlate(cells: np.ndarray, weights: np.ndarray, step: int, shape: tuple) -> np.ndarray:
     """Sums of the products of weights with the cells of every window.
 
     Parameters

@@ -3,6 +3,8 @@
 python -m vehicle_detection.evaluation TRUTH DETECTIONS [--frames A:B[:STEP]] [--json]
 """
 
+from __future__ import annotations
+
 import argparse
 import json
 import sys
@@ -14,7 +16,7 @@ from vehicle_detection.media.files import written_whole
 from vehicle_detection.media.mot import all_frames, frame_range, read_rows
 
 
-def main():
+def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m vehicle_detection.evaluation",

@@ -4,6 +4,13 @@ Truth rows with conf 0 are ignore regions: a detection that matches no required 
 lies by half of its own area in one is neither right nor wrong.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.media.mot import Rows
+
 import motmetrics
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -16,7 +23,7 @@ HEIGHT_EDGES = (30, 40, 60, 100, np.inf)
 _NEW_ENTRY_GAP = 25
 
 
-def match(required, detected, iou_threshold=0.5):
+def match(required: np.ndarray, detected: np.ndarray, iou_threshold: float = 0.5) -> tuple:
     """Pairs of boxes that overlap enough, as many as possible, best first.
 
     Parameters
@@ -36,7 +43,7 @@ def match(required, detected, iou_threshold=0.5):
     return rows[good], columns[good]
 
 
-def drop_ignored(truth, detections, iou_threshold=0.5):
+def drop_ignored(truth: Rows, detections: Rows, iou_threshold: float = 0.5) -> Rows:
     """Detections without those that the ignore regions excuse.
 
     Parameters
@@ -63,7 +70,9 @@ def drop_ignored(truth, detections, iou_threshold=0.5):
     return detections.only(counted)
 
 
-def accumulate(truth, detections, frames, iou_threshold=0.5):
+def accumulate(
+    truth: Rows, detections: Rows, frames: range, iou_threshold: float = 0.5
+) -> motmetrics.MOTAccumulator:
     """Match frame by frame with motmetrics.
 
     Parameters
@@ -98,7 +107,9 @@ _METRICS = {
 }
 
 
-def evaluate(truth, detections, frames=None, iou_threshold=0.5):
+def evaluate(
+    truth: Rows, detections: Rows, frames: range | None = None, iou_threshold: float = 0.5
+) -> dict:
     """All figures of detections against the truth.
 
     Parameters
@@ -185,7 +196,9 @@ def _entry_delays(required, found):
     return delays
 
 
-def precision_recall(truth, detections, iou_threshold=0.5, steps=40):
+def precision_recall(
+    truth: Rows, detections: Any, iou_threshold: float = 0.5, steps: int = 40
+) -> tuple:
     """Precision and recall over the threshold on the score.
 
     Returns
@@ -194,7 +207,7 @@ def precision_recall(truth, detections, iou_threshold=0.5, steps=40):
     """
     required = truth.only(truth.scores == 1)
     if not len(detections.scores):
-        return np.zeros((3, 0))
+        return tuple(np.zeros((3, 0)))
     thresholds = np.quantile(detections.scores, np.linspace(0, 0.99, steps))
     curve = []
     for threshold in thresholds:
@@ -211,7 +224,9 @@ def precision_recall(truth, detections, iou_threshold=0.5, steps=40):
     return thresholds, precision, recall
 
 
-def errors_by_frame(truth, detections, frames, iou_threshold=0.5):
+def errors_by_frame(
+    truth: Rows, detections: Rows, frames: range, iou_threshold: float = 0.5
+) -> tuple:
     """Misses and false positives of every frame.
 
     Parameters

@@ -1,5 +1,17 @@
 """The figures of an evaluation as text and as a picture."""
 
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from vehicle_detection.media.mot import Rows
+    from vehicle_detection.media.viewer import Viewer
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -9,7 +21,7 @@ from vehicle_detection.media.figures import crop_to_road, show
 from vehicle_detection.media.videos import read_frames
 
 
-def table(figures):
+def table(figures: dict) -> str:
     """Figures as lines of text."""
     lines = []
     for name, value in figures.items():
@@ -27,7 +39,9 @@ def _number(value):
     return str(value) if isinstance(value, int) else f"{value:.3f}"
 
 
-def draw_evaluation(truth, detections, frames, iou_threshold=0.5):
+def draw_evaluation(
+    truth: Rows, detections: Any, frames: range, iou_threshold: float = 0.5
+) -> Figure:
     """Figure with the precision-recall curve and a timeline of errors over a range of frames.
 
     Returns
@@ -51,7 +65,9 @@ def draw_evaluation(truth, detections, frames, iou_threshold=0.5):
     return figure
 
 
-def show_worst(video, vehicle, truth, errors, count=6):
+def show_worst(
+    video: str | os.PathLike, vehicle: Viewer, truth: Rows, errors: np.ndarray, count: int = 6
+) -> Figure | None:
     """Figure of the frames with the most errors, true boxes in white.
 
     Parameters
@@ -84,7 +100,7 @@ def show_worst(video, vehicle, truth, errors, count=6):
     return show(pictures, titles, columns=2) if pictures else None
 
 
-def side_by_side(video, vehicles, frames):
+def side_by_side(video: str | os.PathLike, vehicles: dict, frames: Sequence) -> tuple:
     """What several detectors find in the same frames.
 
     Parameters

@@ -6,6 +6,8 @@ A folder holds `images/` and `gt.txt`, MOTChallenge rows: frame n is the n-th pi
 order of names.
 """
 
+from __future__ import annotations
+
 import argparse
 import sys
 from dataclasses import dataclass
@@ -49,7 +51,13 @@ class StillFigures:
     n_required: int
 
 
-def match_by_score(required, ignored, boxes, scores, iou_threshold=0.5):
+def match_by_score(
+    required: np.ndarray,
+    ignored: np.ndarray,
+    boxes: np.ndarray,
+    scores: np.ndarray,
+    iou_threshold: float = 0.5,
+) -> np.ndarray:
     """Which boxes of one picture are right, best first; those in ignore regions do not count.
 
     Parameters
@@ -79,7 +87,9 @@ def match_by_score(required, ignored, boxes, scores, iou_threshold=0.5):
     return np.array(counted, float).reshape(-1, 3)
 
 
-def figures_of(counted, n_required, n_pictures, threshold):
+def figures_of(
+    counted: np.ndarray, n_required: int, n_pictures: int, threshold: float
+) -> StillFigures:
     """Figures of the boxes of all pictures.
 
     Parameters
@@ -111,7 +121,9 @@ def figures_of(counted, n_required, n_pictures, threshold):
     )
 
 
-def score_folder(folder, vehicle, threshold=STILL_TRACKS.confirm_at):
+def score_folder(
+    folder: Path, vehicle: TwoStageVehicle, threshold: float = STILL_TRACKS.confirm_at
+) -> StillFigures:
     """Figures of a detector on a folder of stills.
 
     Parameters
@@ -138,7 +150,7 @@ def score_folder(folder, vehicle, threshold=STILL_TRACKS.confirm_at):
     return figures_of(np.concatenate(counted), int(required.sum()), len(paths), threshold)
 
 
-def table(figures):
+def table(figures: dict) -> str:
     """Figures by folder as a Markdown table with their mean.
 
     Parameters
@@ -161,7 +173,7 @@ def _numbers(values):
     return " | ".join(f"{value:.3f}" for value in values)
 
 
-def main():
+def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m vehicle_detection.evaluation.stills",

@@ -1,5 +1,17 @@
 """Images and videos in, annotated copies and box files out."""
 
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from vehicle_detection.media.viewer import Viewer
+
 from contextlib import ExitStack, contextmanager
 
 from tqdm.auto import tqdm
@@ -15,13 +27,13 @@ from vehicle_detection.media.videos import (
 )
 
 
-def write_rows(path, rows):
+def write_rows(path: str | os.PathLike, rows: list) -> None:
     """Write rows of text to a file, whole or not at all."""
     write_whole(path, "".join(row + "\n" for row in rows))
 
 
 @contextmanager
-def naming(source):
+def naming(source: str | os.PathLike) -> Iterator:
     """Put the file's name before what is wrong with a frame of it."""
     try:
         yield
@@ -29,7 +41,7 @@ def naming(source):
         raise ValueError(f"{source}: {error}") from error
 
 
-def annotate_image(source, folder, vehicle):
+def annotate_image(source: Path, folder: Path, vehicle: Viewer) -> list:
     """Detect in one image; write the annotated image and its boxes into a folder.
 
     Parameters
@@ -54,7 +66,13 @@ def annotate_image(source, folder, vehicle):
     return rows
 
 
-def annotate_video(source, folder, vehicle, split_screen=False, preset="ultrafast"):
+def annotate_video(
+    source: Path,
+    folder: Path,
+    vehicle: Viewer,
+    split_screen: bool = False,
+    preset: str = "ultrafast",
+) -> list:
     """Detect in a video; write the annotated video and its boxes into a folder.
 
     Parameters
@@ -92,7 +110,7 @@ def annotate_video(source, folder, vehicle, split_screen=False, preset="ultrafas
     return rows
 
 
-def gather_inputs(paths):
+def gather_inputs(paths: Any) -> tuple:
     """Split paths into images and videos; folders are opened for their images.
 
     Returns
@@ -120,7 +138,7 @@ def gather_inputs(paths):
     return images, videos
 
 
-def require_free_names(images, videos, folder):
+def require_free_names(images: np.ndarray, videos: list, folder: str | os.PathLike) -> None:
     """Refuse inputs whose outputs would overwrite an input or each other.
 
     Raises

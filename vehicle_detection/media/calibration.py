@@ -3,7 +3,10 @@
 python -m vehicle_detection.media.calibration FOLDER --out output/calib.p
 """
 
+from __future__ import annotations
+
 import argparse
+import os
 import pickle
 import sys
 from collections import Counter
@@ -38,7 +41,7 @@ class Calibration:
     dist: np.ndarray
     image_size: tuple
 
-    def maps(self, frame_shape):
+    def maps(self, frame_shape: tuple) -> tuple:
         """Where each undistorted pixel of a frame comes from, for `cv2.remap`.
 
         Raises
@@ -56,12 +59,12 @@ class Calibration:
         mtx = self.mtx * [[ratio], [ratio], [1]]
         return cv2.initUndistortRectifyMap(mtx, self.dist, None, mtx, (width, height), cv2.CV_16SC2)
 
-    def undistort(self, img):
+    def undistort(self, img: np.ndarray) -> np.ndarray:
         """An image as a pinhole camera would have seen it, of the same shape."""
         return cv2.remap(img, *self.maps(img.shape), cv2.INTER_LINEAR)
 
 
-def find_corners(img, pattern):
+def find_corners(img: np.ndarray, pattern: tuple) -> np.ndarray | None:
     """Inner corners of a chessboard.
 
     Parameters
@@ -86,7 +89,7 @@ def find_corners(img, pattern):
     return corners if found else None
 
 
-def calibrate(paths, pattern=(9, 6)):
+def calibrate(paths: list, pattern: tuple = (9, 6)) -> tuple:
     """Calibration from the photos that show the whole board, at the commonest size.
 
     Parameters
@@ -132,12 +135,12 @@ def calibrate(paths, pattern=(9, 6)):
     return Calibration(mtx, dist.reshape(1, -1), size), error, skipped
 
 
-def save_calibration(calibration, path):
+def save_calibration(calibration: Calibration, path: str | os.PathLike) -> None:
     """Write `mtx`, `dist` and `image_size` as a pickled dict."""
     write_whole(path, pickle.dumps(vars(calibration)))
 
 
-def load_calibration(path):
+def load_calibration(path: str | os.PathLike) -> Calibration:
     """Read what `save_calibration` wrote.
 
     Raises
@@ -163,7 +166,7 @@ def load_calibration(path):
     return calibration
 
 
-def corner_count(text):
+def corner_count(text: str) -> int:
     """Number of inner corners from the command line; a board needs three a side."""
     count = int(text)
     if count < 3:
@@ -171,7 +174,7 @@ def corner_count(text):
     return count
 
 
-def main():
+def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Calibrate a camera from chessboard photos.")
     parser.add_argument("folder", type=Path, help="folder of photos, png or jpg")

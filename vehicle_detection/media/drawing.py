@@ -1,5 +1,7 @@
 """Boxes, heat and titles drawn on copies of a frame. Images and colours are RGB."""
 
+from __future__ import annotations
+
 from colorsys import hsv_to_rgb
 
 import cv2
@@ -12,7 +14,9 @@ import numpy as np
 BLUE, GREEN, VERMILLION, WHITE = (0, 0, 255), (0, 158, 115), (213, 94, 0), (255, 255, 255)
 
 
-def draw_boxes(img, boxes, color=BLUE, thickness=4):
+def draw_boxes(
+    img: np.ndarray, boxes: np.ndarray, color: tuple = BLUE, thickness: int = 4
+) -> np.ndarray:
     """A copy of the image with boxes on it.
 
     Parameters
@@ -31,14 +35,16 @@ def draw_boxes(img, boxes, color=BLUE, thickness=4):
     return img
 
 
-def identity_color(identity):
+def identity_color(identity: int) -> tuple:
     """A bright RGB colour for a vehicle's number, far from those of its neighbours."""
     # Steps of the golden ratio around the circle of hues stay far from all recent ones.
     hue = identity * 0.6180339887 % 1
     return tuple(round(255 * value) for value in hsv_to_rgb(hue, 0.85, 1.0))
 
 
-def draw_vehicles(img, boxes, ids, thickness=4):
+def draw_vehicles(
+    img: np.ndarray, boxes: np.ndarray, ids: np.ndarray, thickness: int = 4
+) -> np.ndarray:
     """A copy of the image with every vehicle boxed and numbered in the colour of its identity.
 
     Parameters
@@ -62,7 +68,9 @@ def draw_vehicles(img, boxes, ids, thickness=4):
     return img
 
 
-def draw_rated(img, boxes, values, threshold):
+def draw_rated(
+    img: np.ndarray, boxes: np.ndarray, values: np.ndarray, threshold: float
+) -> np.ndarray:
     """Boxes with a number each: green from the threshold on, vermillion below.
 
     Parameters
@@ -84,7 +92,7 @@ def draw_rated(img, boxes, values, threshold):
     return img
 
 
-def draw_heat(img, heatmap, full_scale):
+def draw_heat(img: np.ndarray, heatmap: np.ndarray, full_scale: float) -> np.ndarray:
     """The image darkened, with heat glowing on it.
 
     Parameters
@@ -100,7 +108,7 @@ def draw_heat(img, heatmap, full_scale):
     return cv2.addWeighted(img, 0.4, glow, 0.9, 0)
 
 
-def draw_title(img, title):
+def draw_title(img: np.ndarray, title: str) -> np.ndarray:
     """The image with a line of text at its top left."""
     size = img.shape[0] / 500
     place = round(20 * size), round(30 * size)

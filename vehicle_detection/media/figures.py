@@ -1,19 +1,30 @@
 """Pictures side by side, for the notebooks."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 # Rows of a frame in which traffic is, as shares of its height.
 _ROAD_ROWS = 0.42, 0.95
 
 
-def crop_to_road(img):
+def crop_to_road(img: np.ndarray) -> np.ndarray:
     """The rows of a frame in which traffic is: details stay legible at the width of a page."""
     first, last = (round(share * len(img)) for share in _ROAD_ROWS)
     return img[first:last]
 
 
-def show(images, titles=None, columns=2, width=12, cmap="gray"):
+def show(
+    images: Sequence,
+    titles: Sequence | None = None,
+    columns: int = 2,
+    width: float = 12,
+    cmap: str = "gray",
+) -> Figure:
     """Figure with a grid of images.
 
     Parameters
@@ -49,7 +60,7 @@ def show(images, titles=None, columns=2, width=12, cmap="gray"):
     return figure
 
 
-def show_steps(rows, titles, width=16):
+def show_steps(rows: Sequence, titles: Sequence, width: float = 16) -> Figure:
     """Figure of several frames, one a row, with the pictures of every step side by side.
 
     Parameters
@@ -81,7 +92,7 @@ def show_steps(rows, titles, width=16):
     return figure
 
 
-def show_histograms(histograms, titles, channel_names):
+def show_histograms(histograms: Sequence, titles: Sequence, channel_names: Sequence) -> Figure:
     """Figure with one row of bar charts for each image, a chart for each channel.
 
     Parameters

@@ -1,6 +1,9 @@
 """Files that appear under their name only when they are whole."""
 
+from __future__ import annotations
+
 import os
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -8,7 +11,7 @@ SHIPPED = Path(__file__).parents[2] / "param"
 TRAINED = Path("output")
 
 
-def trained_or_shipped(name):
+def trained_or_shipped(name: str) -> Path:
     """A parameter file of this name: the one trained here, or else the shipped one.
 
     Parameters
@@ -26,7 +29,7 @@ def trained_or_shipped(name):
 
 
 @contextmanager
-def written_whole(path):
+def written_whole(path: str | os.PathLike) -> Iterator:
     """A temporary path beside `path` that takes its name if the block succeeds.
 
     The suffix stays, for encoders choose the format by it.
@@ -41,7 +44,7 @@ def written_whole(path):
         partial.unlink(missing_ok=True)
 
 
-def write_whole(path, content):
+def write_whole(path: str | os.PathLike, content: bytes | str) -> None:
     """Write bytes or text to a file that appears under its name only when whole."""
     with written_whole(path) as partial:
         if isinstance(content, bytes):

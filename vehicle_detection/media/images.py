@@ -3,6 +3,9 @@
 Colour order is settled here: what OpenCV reads as BGR leaves as RGB.
 """
 
+from __future__ import annotations
+
+import os
 from pathlib import Path
 
 import cv2
@@ -13,7 +16,7 @@ from vehicle_detection.media.files import write_whole
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg"}
 
 
-def find_images(folder):
+def find_images(folder: str | os.PathLike) -> list:
     """All images under a folder, at any depth, in the order of their paths.
 
     Raises
@@ -30,7 +33,7 @@ def find_images(folder):
     return paths
 
 
-def read_image(path):
+def read_image(path: str | os.PathLike) -> np.ndarray:
     """Read an image as RGB uint8, whatever its file holds.
 
     Gray images get three equal channels, an alpha channel is dropped, 16 bits
@@ -63,7 +66,7 @@ def _ends_as_jpeg(content):
     return b"\xff\xd9" in whole[whole.rfind(b"\xff\xda") :]
 
 
-def write_image(path, img):
+def write_image(path: str | os.PathLike, img: np.ndarray) -> None:
     """Write an RGB image, whole or not at all."""
     path = Path(path)
     done, encoded = cv2.imencode(path.suffix, cv2.cvtColor(img, cv2.COLOR_RGB2BGR))

@@ -9,8 +9,12 @@ References
 .. [1] L. Leal-Taixe et al., "MOTChallenge 2015", arXiv:1504.01942.
 """
 
+from __future__ import annotations
+
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,21 +40,21 @@ class Rows:
     scores: np.ndarray
     visibility: np.ndarray
 
-    def only(self, chosen):
+    def only(self, chosen: np.ndarray) -> Any:
         """The rows that a mask or index array picks."""
         return Rows(**{name: values[chosen] for name, values in vars(self).items()})
 
-    def within(self, frames):
+    def within(self, frames: range) -> Rows:
         """The rows of a range of frames."""
         return self.only(np.isin(self.frames, frames))
 
-    def with_unique_ids(self):
+    def with_unique_ids(self) -> Rows:
         """The same, with an identity of its own, below zero, for each row that has none."""
         numbers = -1 - np.arange(len(self.ids))
         return replace(self, ids=np.where(self.ids < 0, numbers, self.ids))
 
 
-def frame_range(text):
+def frame_range(text: str) -> range:
     """ "A:B" or "A:B:STEP" to a range of frame numbers, from 1, both ends included."""
     try:
         first, last, *step = (int(part) for part in text.split(":"))
@@ -62,13 +66,13 @@ def frame_range(text):
     return frames
 
 
-def all_frames(truth, detections):
+def all_frames(truth: Rows, detections: Any) -> range:
     """Range from 1 to the last frame of both, one frame at least."""
     last = max(truth.frames.max(initial=1), detections.frames.max(initial=1))
     return range(1, int(last) + 1)
 
 
-def read_rows(path):
+def read_rows(path: str | os.PathLike) -> Rows:
     """Read a MOTChallenge file.
 
     Raises
@@ -95,7 +99,7 @@ def read_rows(path):
     return Rows(frames, ids, boxes, scores=values[:, 6], visibility=values[:, 8])
 
 
-def rows_of(boxes):
+def rows_of(boxes: np.ndarray) -> Rows:
     """Rows of boxes without identity or score, from one array (n, 4) a frame."""
     counts = [len(of_frame) for of_frame in boxes]
     frames = np.repeat(np.arange(1, len(boxes) + 1), counts)
@@ -105,7 +109,7 @@ def rows_of(boxes):
     return Rows(frames, unknown, stacked.astype(float), scores, visibility=unknown.astype(float))
 
 
-def rows_of_detections(detections):
+def rows_of_detections(detections: list) -> Rows:
     """Rows of the detections of the frames of a video, from frame 1 on.
 
     Parameters
@@ -123,7 +127,7 @@ def rows_of_detections(detections):
     return Rows(frames, ids, boxes, scores, visibility=np.full(len(frames), -1.0))
 
 
-def mot_rows(frame_number, detections):
+def mot_rows(frame_number: int, detections: Any) -> list:
     """Detections of one frame as rows of a MOTChallenge file.
 
     Parameters

@@ -4,8 +4,12 @@ A pickle can name any function to call while it is read. This loader refuses eve
 those that a scaler, an SVM and NumPy's arrays are made of.
 """
 
+from __future__ import annotations
+
 import io
 import pickle
+from collections.abc import Sequence
+from typing import Any
 
 _NUMPY = {
     (f"numpy.{core}.{module}", name)
@@ -26,11 +30,11 @@ _SKLEARN = {
 class _Unpickler(pickle.Unpickler):
     """Admits a list of names."""
 
-    def __init__(self, content, trusted):
+    def __init__(self, content: bytes, trusted: Sequence):
         super().__init__(io.BytesIO(content))
         self._admitted = _NUMPY | _SKLEARN | {tuple(t.rpartition(".")[::2]) for t in trusted}
 
-    def find_class(self, module, name):
+    def find_class(self, module: str, name: str) -> Any:
         """A class or function that the pickle names, if it is admitted."""
         if (module, name) not in self._admitted:
             raise pickle.UnpicklingError(
@@ -40,7 +44,7 @@ class _Unpickler(pickle.Unpickler):
         return super().find_class(module, name)
 
 
-def loads(content, trusted=()):
+def loads(content: bytes, trusted: Sequence = ()) -> Any:
     """What a pickle holds.
 
     Parameters

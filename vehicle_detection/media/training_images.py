@@ -1,7 +1,11 @@
 """Training images as windows: read on all cores, whatever their size."""
 
+from __future__ import annotations
+
+import os
 import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -18,7 +22,7 @@ HELD_OUT = 0.2
 _RUN_LENGTH = 100
 
 
-def read_window(path, window_size):
+def read_window(path: str | os.PathLike, window_size: int) -> tuple:
     """Read an image as a window; one of another size is resized.
 
     Returns
@@ -33,7 +37,7 @@ def read_window(path, window_size):
     return cv2.resize(img, (window_size, window_size), interpolation=cv2.INTER_AREA), True
 
 
-def read_windows(paths, window_size):
+def read_windows(paths: list, window_size: int) -> np.ndarray:
     """Read many images as windows, with a progress bar; says how many had to be resized.
 
     Parameters
@@ -88,13 +92,13 @@ class TrainingImages:
     sources: np.ndarray
 
 
-def numbers_in(path):
+def numbers_in(path: Path) -> tuple:
     """Folder and number of an image file: sorting by it gives the order of taking."""
     digits = re.findall(r"\d+", path.stem)
     return path.parent, int(digits[-1]) if digits else 0
 
 
-def load_training_set(folder):
+def load_training_set(folder: Path) -> TrainingImages:
     """Read folder/vehicles and folder/non-vehicles."""
     paths, labels = [], []
     for label, name in ((1, "vehicles"), (0, "non-vehicles")):
@@ -106,7 +110,7 @@ def load_training_set(folder):
     return TrainingImages(read_windows(paths, 64), np.array(labels), sources)
 
 
-def hold_out_ends(sources):
+def hold_out_ends(sources: np.ndarray) -> np.ndarray:
     """Hold out the last images of every source, a whole run of the video.
 
     Neighbours show the same car, so a random split tests on near copies.
@@ -126,7 +130,7 @@ def hold_out_ends(sources):
     return held_out
 
 
-def runs_of(sources):
+def runs_of(sources: np.ndarray) -> np.ndarray:
     """Number of the run of neighbours each image belongs to, ndarray of int, shape (n,)."""
     position = np.zeros(len(sources), int)
     for source in np.unique(sources):

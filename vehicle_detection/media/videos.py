@@ -4,12 +4,15 @@ Reading, what is done with the frames, and writing overlap: each has a thread,
 and short queues between them keep memory flat however long the video is.
 """
 
+from __future__ import annotations
+
 import contextlib
 import os
 import queue
 import subprocess
 import tempfile
 import threading
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,7 +39,7 @@ class VideoInfo:
     n_frames: int
 
 
-def video_info(path):
+def video_info(path: str | os.PathLike) -> VideoInfo:
     """What a video's header says.
 
     Raises
@@ -64,7 +67,7 @@ def _open(path):
     return capture
 
 
-def read_frames(path):
+def read_frames(path: str | os.PathLike) -> Iterator:
     """Yield the frames of a video as RGB uint8, read ahead by a thread.
 
     Raises
@@ -132,7 +135,7 @@ def _ahead(items):
 
 
 @contextlib.contextmanager
-def video_writer(path, info, preset="ultrafast"):
+def video_writer(path: str | os.PathLike, info: VideoInfo, preset: str = "ultrafast") -> Iterator:
     """A function that appends an RGB frame to a video; encoding runs beside it.
 
     The file appears under its name when the block has succeeded.
@@ -170,7 +173,7 @@ def video_writer(path, info, preset="ultrafast"):
         n_written += 1
 
     with written_whole(path) as partial:
-        encoder = _Encoder(partial, path, info, preset)
+        encoder = _Encoder(partial, Path(path), info, preset)
         try:
             yield write
         finally:
@@ -194,7 +197,7 @@ class _Encoder:
     preset : str
     """
 
-    def __init__(self, partial, path, info, preset):
+    def __init__(self, partial: Path, path: Path, info: VideoInfo, preset: str):
         self._path = path
         # Colour is stored for two by two pixels.
         self._is_even = info.width % 2 == info.height % 2 == 0
@@ -214,17 +217,17 @@ class _Encoder:
         self._thread = threading.Thread(target=self._feed, daemon=True)
         self._thread.start()
 
-    def put(self, frame):
+    def put(self, frame: np.ndarray) -> None:
         """Hand over a frame; waits while the queue is full."""
         self.require_success()
         self._frames.put(frame)
 
-    def close(self):
+    def close(self) -> None:
         """Wait until all is written."""
         self._frames.put(None)
         self._thread.join()
 
-    def require_success(self):
+    def require_success(self) -> None:
         """Raise OSError if the encoder has failed."""
         if self._failure is not None:
             raise OSError(f"{self._path}: cannot be encoded: {self._failure}")

@@ -1,5 +1,11 @@
 """How a detector shows what it found: boxes, undistortion, split screen."""
 
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from typing import Any
+
 import cv2
 import numpy as np
 
@@ -10,11 +16,10 @@ from vehicle_detection.media.drawing import draw_title, draw_vehicles
 _ROWS_WORTH_A_THREAD = 100
 
 
-class Viewer:
+class Viewer(ABC):
     """Draws the detections of the frames of one video.
 
-    A class on top of this one finds them. It has `detect`, which takes a frame and returns
-    detections with `boxes` and `ids`, `step_pictures` and `reset`.
+    A class on top of this one finds them.
 
     Parameters
     ----------
@@ -27,19 +32,31 @@ class Viewer:
         Of the four `step_pictures`.
     """
 
-    titles = ()
+    titles: tuple = ()
 
-    def __init__(self, path_calib):
+    def __init__(self, path_calib: str | os.PathLike | None):
         self.calibration = None
         if path_calib is not None:
             self.load_calibration(path_calib)
 
-    def load_calibration(self, path):
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget all frames: the next one begins another video."""
+
+    @abstractmethod
+    def detect(self, rgb_frame: np.ndarray) -> Any:
+        """Detections of the next frame, with `boxes` and `ids`."""
+
+    @abstractmethod
+    def step_pictures(self, rgb_frame: np.ndarray, detections: Any) -> list:
+        """What `titles` name, each drawn on the frame."""
+
+    def load_calibration(self, path: str | os.PathLike) -> None:
         """Read a calibration, see `calibration.load_calibration`."""
         self.calibration = load_calibration(path)
         self._maps = {}
 
-    def process_image(self, rgb_frame):
+    def process_image(self, rgb_frame: np.ndarray) -> np.ndarray:
         """Detect in the next frame of the video and draw its vehicles.
 
         Parameters
@@ -54,11 +71,11 @@ class Viewer:
         """
         return self.draw(rgb_frame, self.detect(rgb_frame))
 
-    def draw(self, rgb_frame, detections):
+    def draw(self, rgb_frame: np.ndarray, detections: Any) -> np.ndarray:
         """Vehicles on a copy of the frame, then undistortion if there is a calibration."""
         return self.undistort(draw_vehicles(rgb_frame, detections.boxes, detections.ids))
 
-    def draw_split_screen(self, rgb_frame, detections):
+    def draw_split_screen(self, rgb_frame: np.ndarray, detections: Any) -> np.ndarray:
         """The four `step_pictures` in one picture as large as the frame.
 
         Returns
@@ -75,7 +92,7 @@ class Viewer:
             picture[top : top + quarter[1], left : left + quarter[0]] = tile
         return picture
 
-    def undistort(self, rgb_frame):
+    def undistort(self, rgb_frame: np.ndarray) -> np.ndarray:
         """The frame as a pinhole camera would see it; as it is without calibration."""
         if self.calibration is None:
             return rgb_frame
@@ -93,7 +110,7 @@ class Viewer:
         return picture
 
 
-def require_same_size(rgb_frame, shape):
+def require_same_size(rgb_frame: np.ndarray, shape: tuple | None) -> None:
     """Raise ValueError if a frame is not of the shape of the frame before, None for none."""
     if shape not in (None, rgb_frame.shape):
         raise ValueError(f"a frame of {rgb_frame.shape} after one of {shape}")

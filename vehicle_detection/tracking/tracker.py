@@ -6,6 +6,13 @@ high enough, and coasts without a box until it is used up. A lost track stays fo
 track that is confirmed where it is expected inherits its identity.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import TrackParams
+
 import cv2
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -30,7 +37,7 @@ class Track:
         Where it is, or is expected in this frame.
     """
 
-    def __init__(self, box, score, params):
+    def __init__(self, box: np.ndarray, score: float, params: Any):
         self.identity = 0
         self.is_confirmed = False
         self.score = 0.0
@@ -40,12 +47,12 @@ class Track:
         self._filter, self._measurement_noise = _kalman_filter(self.box, params)
         self._accumulate(score - params.score_offset)
 
-    def predict(self):
+    def predict(self) -> None:
         """One frame on: `box` is where the vehicle is expected."""
         self.n_missed += 1
         self.box = self._filter.predict()[:4, 0].copy()
 
-    def correct(self, box, score):
+    def correct(self, box: np.ndarray, score: float) -> None:
         """Take in the box of this frame; one without a positive score moves nothing."""
         self.n_missed = 0
         if score > 0:
@@ -56,12 +63,12 @@ class Track:
             self._slow_down()
         self._accumulate(score - self._params.score_offset)
 
-    def miss(self):
+    def miss(self) -> None:
         """There is no box in this frame."""
         self._slow_down()
         self._accumulate(-self._params.miss_penalty)
 
-    def is_leaving(self, n_columns):
+    def is_leaving(self, n_columns: Any) -> bool:
         """Whether it touches the left or right border and does not move into the frame."""
         left, _, right, _ = self.box
         left_speed, _, right_speed, _ = self._filter.statePost[4:, 0]
@@ -108,12 +115,12 @@ class Tracker:
     params : TrackParams
     """
 
-    def __init__(self, params):
+    def __init__(self, params: TrackParams):
         self.params = params
         self._tracks = []
         self._n_identities = 0
 
-    def predict(self):
+    def predict(self) -> np.ndarray:
         """Move all tracks one frame on.
 
         Returns
@@ -125,7 +132,9 @@ class Tracker:
             track.predict()
         return stack_boxes([t.box for t in self._tracks if t.identity or t.n_missed == 1])
 
-    def update(self, boxes, scores, n_columns=None):
+    def update(
+        self, boxes: np.ndarray, scores: np.ndarray, n_columns: int | None = None
+    ) -> list:
         """Give the boxes of this frame to the tracks.
 
         Parameters
@@ -156,7 +165,7 @@ class Tracker:
         self._tracks = [t for t in self._tracks if self._is_kept(t, n_columns)]
         return owners
 
-    def coasting_tracks(self):
+    def coasting_tracks(self) -> list:
         """Confirmed tracks that have no box in this frame."""
         return [track for track in self._tracks if track.is_confirmed and track.n_missed]
 

@@ -7,6 +7,11 @@ are RGB, uint8. Boxes are float arrays of shape (n, 4): left, top, right, bottom
 the frame.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
 import cv2
 import numpy as np
 
@@ -36,12 +41,12 @@ _LEAST_LENGTH = np.float32(1e-3)
 _LEAST_SPREAD = np.float32(0.03)
 
 
-def cell_lengths(histograms):
+def cell_lengths(histograms: np.ndarray) -> np.ndarray:
     """Euclidean length of the histogram of every cell, shape (..., orientations) to (...)."""
     return np.sqrt(np.einsum("...o,...o->...", histograms, histograms))
 
 
-def normalise_cells(histograms, lengths, around):
+def normalise_cells(histograms: np.ndarray, lengths: np.ndarray, around: np.ndarray) -> np.ndarray:
     """Cells by the root of the squares of their own length and of the mean length around them.
 
     Blocks that are brought to unit length [1]_ show what noise there is in a plain
@@ -68,7 +73,7 @@ def normalise_cells(histograms, lengths, around):
     return histograms * scale[..., None]
 
 
-def cut_out(img, box, size):
+def cut_out(img: np.ndarray, box: Sequence, size: tuple) -> np.ndarray:
     """A box of the frame, resized; outside of the frame its edge goes on.
 
     Parameters
@@ -99,7 +104,7 @@ def _overlap(start, stop, length):
     return slice(first, last), before, stop - start - before - (last - first)
 
 
-def on_whole_pixels(boxes):
+def on_whole_pixels(boxes: np.ndarray) -> np.ndarray:
     """Boxes moved by less than a pixel, so that with their margins they end between pixels.
 
     Parameters
@@ -126,7 +131,7 @@ def _without_margins(boxes):
     return np.hstack([boxes[:, :2] + aside, boxes[:, 2:] - aside])
 
 
-def cut_patches(img, boxes):
+def cut_patches(img: np.ndarray, boxes: np.ndarray) -> np.ndarray:
     """Every box and its margin, in one size.
 
     Parameters
@@ -147,7 +152,7 @@ def cut_patches(img, boxes):
     return patches
 
 
-def luma_and_chroma(patches):
+def luma_and_chroma(patches: np.ndarray) -> np.ndarray:
     """Every patch in YCrCb, channel by channel.
 
     Parameters
@@ -169,7 +174,7 @@ def luma_and_chroma(patches):
     return planes
 
 
-def patch_features(planes):
+def patch_features(planes: np.ndarray) -> tuple:
     """HOG of the luma and relative colours of the cells of every patch.
 
     Of HOG the square roots are taken, as of SIFT [1]_: otherwise the distance of two
@@ -201,7 +206,7 @@ def patch_features(planes):
     return features, contrast
 
 
-def chroma_features(planes, contrast):
+def chroma_features(planes: np.ndarray, contrast: np.ndarray) -> np.ndarray:
     """Square roots of HOG of the chroma of the cells of every patch, at half its size.
 
     Videos hold no more of the chroma than that.
@@ -245,7 +250,7 @@ def _patch_histograms(planes):
     return cell_histograms(channels, ORIENTATIONS, rows // PATCH_SIDE).reshape(shape)
 
 
-def relative_colors(planes):
+def relative_colors(planes: np.ndarray) -> np.ndarray:
     """Mean colours of cells, less that of the box; the luma by its spread over the box.
 
     How bright a camera shows a vehicle, in what colour of light and behind what haze,
@@ -276,7 +281,7 @@ def relative_colors(planes):
     return means.transpose(1, 2, 3, 0)
 
 
-def margins_outside(boxes, frame_shape):
+def margins_outside(boxes: np.ndarray, frame_shape: tuple) -> np.ndarray:
     """How much of the margin on each side of a box lies outside of the frame.
 
     Half a car that ends where the frame ends is a vehicle that enters; half a
@@ -299,7 +304,7 @@ def margins_outside(boxes, frame_shape):
     return np.clip(1 - within, 0, 1).astype(np.float32)
 
 
-def scorer_features(features, outside):
+def scorer_features(features: np.ndarray, outside: np.ndarray) -> np.ndarray:
     """What tells vehicles: boxes with their margins, and `margins_outside`.
 
     What surrounds a box tells a vehicle from a part of one, and from a window of a house.
@@ -308,7 +313,7 @@ def scorer_features(features, outside):
     return np.hstack([features.reshape(-1, N_SCORER_FEATURES - N_BORDERS), outside])
 
 
-def regressor_features(features, chroma, outside):
+def regressor_features(features: np.ndarray, chroma: Any, outside: np.ndarray) -> np.ndarray:
     """What tells edges: boxes with their margins, HOG of the chroma too, and `margins_outside`.
 
     Shape (n, N_REGRESSOR_FEATURES).
@@ -317,13 +322,13 @@ def regressor_features(features, chroma, outside):
     return np.hstack([cells.reshape(-1, N_REGRESSOR_FEATURES - N_BORDERS), outside])
 
 
-def describe_for_scorer(planes, outside):
+def describe_for_scorer(planes: np.ndarray, outside: np.ndarray) -> np.ndarray:
     """`scorer_features` of patches, from `luma_and_chroma` and `margins_outside`."""
     cells, _ = patch_features(planes)
     return scorer_features(cells, outside)
 
 
-def describe_for_regressor(planes, outside):
+def describe_for_regressor(planes: np.ndarray, outside: np.ndarray) -> np.ndarray:
     """`regressor_features` of patches, from `luma_and_chroma` and `margins_outside`."""
     cells, contrast = patch_features(planes)
     return regressor_features(cells, chroma_features(planes, contrast), outside)

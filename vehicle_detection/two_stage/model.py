@@ -1,5 +1,8 @@
 """The learned parameters of the two-stage detector, and their file."""
 
+from __future__ import annotations
+
+import os
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -53,7 +56,7 @@ class KernelMachine:
     bias: np.ndarray
     gamma: float
 
-    def predict(self, features):
+    def predict(self, features: np.ndarray) -> np.ndarray:
         """Outputs for features of float32, shape (n, n_features), shape (n, n_outputs)."""
         components = features @ self.projection.T + self.offset
         distances = _squared_lengths(components)[:, None] + self._squared_centers
@@ -89,9 +92,9 @@ class Detector:
     regressor: KernelMachine
 
 
-def save_detector(detector, path):
+def save_detector(detector: Detector, path: str | os.PathLike) -> None:
     """Write a detector as a NumPy archive; it appears under its name only when whole."""
-    arrays = {"format_version": FORMAT_VERSION}
+    arrays: dict = {"format_version": FORMAT_VERSION}
     for i, template in enumerate(detector.templates):
         arrays |= {f"template{i}_{name}": value for name, value in vars(template).items()}
     for name in ("scorer", "regressor"):
@@ -107,7 +110,7 @@ def _half(value):
     return value.astype(np.float16) if np.size(value) > 10_000 else value
 
 
-def load_detector(path):
+def load_detector(path: str | os.PathLike) -> Detector:
     """Read what `save_detector` wrote.
 
     Raises

@@ -6,6 +6,14 @@ A level is the frame at one scale, described by cells of 4 x 4 pixels: HOG of th
 mean colour. Windows are 8 cells high and of four widths.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import ScanParams
+    from vehicle_detection.two_stage.road import Reach
+
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -44,7 +52,7 @@ class Level:
 
 
 @lru_cache(maxsize=16)
-def level_groups(frame_shape, scan, reach):
+def level_groups(frame_shape: tuple, scan: ScanParams, reach: Reach) -> list:
     """The levels of a frame, in groups of about equal size.
 
     Parameters
@@ -86,7 +94,7 @@ def level_groups(frame_shape, scan, reach):
     return groups
 
 
-def cell_features(img):
+def cell_features(img: np.ndarray) -> np.ndarray:
     """HOG of the luma and mean colour of every cell of an image.
 
     Parameters
@@ -112,7 +120,7 @@ def cell_features(img):
     return features
 
 
-def window_scores(features, template, step):
+def window_scores(features: np.ndarray, template: Any, step: int) -> np.ndarray:
     """Decision function of the windows at every so many cells.
 
     Parameters
@@ -128,11 +136,11 @@ def window_scores(features, template, step):
         Empty if no window fits.
     """
     sides = zip(features.shape, template.weights.shape[:2], strict=False)
-    shape = [max(0, (side - length) // step + 1) for side, length in sides]
+    shape = tuple(max(0, (side - length) // step + 1) for side, length in sides)
     return correlate(features, template.weights, step, shape) + np.float32(template.bias)
 
 
-def propose(img, levels, templates, scan):
+def propose(img: np.ndarray, levels: list, templates: tuple, scan: ScanParams) -> tuple:
     """The best windows of some levels.
 
     Parameters
@@ -177,7 +185,7 @@ def _propose_on_level(img, level, templates, scan):
     return boxes[best], scores[best]
 
 
-def suppress(boxes, scores, overlap):
+def suppress(boxes: np.ndarray, scores: np.ndarray, overlap: float) -> np.ndarray:
     """Non-maximum suppression: indices of what stays, best first.
 
     Parameters
@@ -193,5 +201,5 @@ def suppress(boxes, scores, overlap):
     sizes = np.hstack([boxes[:, :2], boxes[:, 2:] - boxes[:, :2]]).astype(float)
     # OpenCV takes no threshold below zero.
     above_zero = (scores - scores.min() + 1).astype(np.float32)
-    best = cv2.dnn.NMSBoxes(sizes, above_zero, 0.0, overlap, top_k=_MOST_BOXES)
+    best = cv2.dnn.NMSBoxes(list(sizes), above_zero, 0.0, overlap, top_k=_MOST_BOXES)
     return np.asarray(best, int)

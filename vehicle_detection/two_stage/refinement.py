@@ -1,5 +1,12 @@
 """Second stage: proposals and predictions are moved onto vehicles and scored there."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.two_stage.model import Detector
+
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -38,12 +45,12 @@ class Candidates:
     scores: np.ndarray
     is_tracked: np.ndarray
 
-    def only(self, chosen):
+    def only(self, chosen: np.ndarray) -> Any:
         """The candidates that a mask or index array picks."""
         return Candidates(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
 
-def merge(predicted, proposals, same_iou):
+def merge(predicted: np.ndarray, proposals: np.ndarray, same_iou: float) -> Candidates:
     """Predictions of tracks, and the proposals that overlap none of them too much.
 
     Parameters
@@ -62,7 +69,9 @@ def merge(predicted, proposals, same_iou):
     return Candidates(boxes, np.zeros(len(boxes)), np.arange(len(boxes)) < len(predicted))
 
 
-def refine(frame, candidates, detector, discard_below):
+def refine(
+    frame: np.ndarray, candidates: Candidates, detector: Detector, discard_below: float
+) -> Candidates:
     """Move the edges of candidates to where they belong, and score them there.
 
     Parameters
@@ -98,13 +107,13 @@ def _move_and_score(frame, boxes, detector, discard_below):
     return boxes, scores
 
 
-def score_boxes(frame, boxes, scorer):
+def score_boxes(frame: np.ndarray, boxes: np.ndarray, scorer: Any) -> np.ndarray:
     """Decision function of boxes where they are, ndarray of float32, shape (n,)."""
     planes = luma_and_chroma(cut_patches(frame, boxes))
     return scorer.predict(describe_for_scorer(planes, margins_outside(boxes, frame.shape)))[:, 0]
 
 
-def move_edges(boxes, shifts):
+def move_edges(boxes: np.ndarray, shifts: np.ndarray) -> np.ndarray:
     """Boxes with each edge moved by a share of the box's width or height."""
     size = boxes[:, 2:] - boxes[:, :2]
     return boxes + shifts * np.hstack([size, size])

@@ -12,6 +12,13 @@ References
        linear regression).
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import RoadParams
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,14 +57,14 @@ class Reach:
     ratio: tuple
 
 
-def prior_road(n_rows, params):
+def prior_road(n_rows: int, params: Any) -> Road:
     """What is known of the road in frames of `n_rows` before any vehicle has been seen."""
     scale = np.array([n_rows, 1.0])
     mean, std = zip(params.horizon, params.camera_to_car, strict=True)
     return Road(scale * mean, np.diag((scale * std) ** 2))
 
 
-def reach(road, n_rows, params):
+def reach(road: Road, n_rows: int, params: RoadParams) -> Reach:
     """Where to scan for vehicles: all but the least likely places.
 
     Parameters
@@ -83,7 +90,7 @@ def reach(road, n_rows, params):
     )
 
 
-def update_road(prior, boxes, weights, params):
+def update_road(prior: Road, boxes: np.ndarray, weights: np.ndarray, params: RoadParams) -> Road:
     """What is known after some cars have been seen, by Bayesian linear regression [2]_.
 
     Parameters
@@ -118,7 +125,7 @@ def update_road(prior, boxes, weights, params):
     return Road(mean, np.linalg.inv(posterior))
 
 
-def misplacement(boxes, road, params):
+def misplacement(boxes: np.ndarray, road: Road, params: RoadParams) -> np.ndarray:
     """By how many standard deviations boxes stand where no vehicle can.
 
     A box may be that of a car, or of a vehicle up to `params.lorry_to_car` times as high.
@@ -154,15 +161,17 @@ class RoadMemory:
     params : RoadParams
     """
 
-    def __init__(self, params):
+    def __init__(self, params: RoadParams):
         self.params = params
         self._cars = np.empty((0, 4))
 
-    def learn(self, cars):
+    def learn(self, cars: np.ndarray) -> None:
         """Add boxes of whole cars, shape (n, 4)."""
         self._cars = np.concatenate([self._cars, cars])[-self.params.most_cars :]
 
-    def road(self, n_rows, cars=None, weights=None):
+    def road(
+        self, n_rows: int, cars: np.ndarray | None = None, weights: np.ndarray | None = None
+    ) -> Road:
         """What is known of the road, from the cars remembered and those of this frame.
 
         Parameters

@@ -1,5 +1,12 @@
 """Which candidates of a frame remain: possible sizes and shapes, non-maximum suppression."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import ScanParams, SelectionParams
+
 import numpy as np
 
 from vehicle_detection.tracking.boxes import (
@@ -10,7 +17,7 @@ from vehicle_detection.tracking.boxes import (
 )
 
 
-def overlap_conflicts(boxes, params):
+def overlap_conflicts(boxes: np.ndarray, params: SelectionParams) -> np.ndarray:
     """Which boxes cannot frame two vehicles that are both seen.
 
     Two boxes are in conflict if their IoU is above `params.max_iou`, or if more than
@@ -38,7 +45,9 @@ def overlap_conflicts(boxes, params):
     return (covered & ~in_front) | (common > params.max_iou * union)
 
 
-def non_max_suppression(boxes, scores, params):
+def non_max_suppression(
+    boxes: np.ndarray, scores: np.ndarray, params: SelectionParams
+) -> np.ndarray:
     """Of boxes in conflict, keep the better ones.
 
     Parameters
@@ -63,7 +72,9 @@ def non_max_suppression(boxes, scores, params):
     return np.array(kept, int)
 
 
-def are_plausible(boxes, frame_shape, scan, params):
+def are_plausible(
+    boxes: np.ndarray, frame_shape: tuple, scan: ScanParams, params: SelectionParams
+) -> np.ndarray:
     """Which boxes have a size and shape that a vehicle within reach of the scan can have.
 
     Parameters

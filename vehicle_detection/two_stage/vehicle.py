@@ -3,6 +3,14 @@
 predictions of tracks, proposals -> refinement -> selection -> tracks -> vehicles
 """
 
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import RoadParams, ScanParams, SelectionParams, TrackParams
+
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -82,12 +90,12 @@ class TwoStageVehicle(Viewer):
 
     def __init__(
         self,
-        path_calib=None,
-        path_param=SHIPPED_DETECTOR,
-        scan=DEFAULT_SCAN,
-        track_params=DEFAULT_TRACKS,
-        selection=DEFAULT_SELECTION,
-        road_params=DEFAULT_ROAD,
+        path_calib: str | os.PathLike | None = None,
+        path_param: Any = SHIPPED_DETECTOR,
+        scan: ScanParams = DEFAULT_SCAN,
+        track_params: TrackParams = DEFAULT_TRACKS,
+        selection: SelectionParams = DEFAULT_SELECTION,
+        road_params: RoadParams = DEFAULT_ROAD,
     ):
         super().__init__(path_calib)
         self.scan = scan
@@ -96,19 +104,19 @@ class TwoStageVehicle(Viewer):
         self.road_params = road_params
         self.load_param_detect(path_param)
 
-    def load_param_detect(self, path):
+    def load_param_detect(self, path: str | os.PathLike) -> None:
         """Take a detector, or the path of one; forgets all frames."""
-        self.detector = path if hasattr(path, "scorer") else load_detector(path)
+        self.detector: Any = path if hasattr(path, "scorer") else load_detector(path)
         self.reset()
 
-    def reset(self):
+    def reset(self) -> None:
         """Forget all frames: the next one begins another video."""
-        self._frame_shape = None
+        self._frame_shape: tuple | None = None
         self._n_frames = 0
         self._tracker = Tracker(self.track_params)
         self._memory = RoadMemory(self.road_params)
 
-    def detect(self, rgb_frame):
+    def detect(self, rgb_frame: np.ndarray) -> Detections:
         """Search the next frame of the video.
 
         Parameters
@@ -199,7 +207,7 @@ class TwoStageVehicle(Viewer):
             ids=np.array([track.identity for track in vehicles], int),
         )
 
-    def step_pictures(self, rgb_frame, detections):
+    def step_pictures(self, rgb_frame: np.ndarray, detections: Any) -> list:
         """What `titles` name, each drawn on the frame.
 
         Returns

@@ -6,6 +6,13 @@
 footage -> windows -> first stage -> hard negatives -> proposals -> regressor -> scorer
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import TrainingParams
+
 import argparse
 import sys
 import time
@@ -25,7 +32,7 @@ from vehicle_detection.two_stage.training.footage import (
 from vehicle_detection.two_stage.training.second_stage import train_regressor, train_scorer
 
 
-def add_source_options(parser):
+def add_source_options(parser: argparse.ArgumentParser) -> None:
     """Options that say what is learned from."""
     parser.add_argument(
         "--footage", nargs="+", action="append", default=[], metavar="FOOTAGE TRUTH [A:B[:STEP]]",
@@ -51,7 +58,7 @@ def add_source_options(parser):
     )  # fmt: skip
 
 
-def parse_arguments(arguments=None):
+def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
     """Command line to a namespace; `--help` explains it."""
     parser = argparse.ArgumentParser(
         prog="python -m vehicle_detection.two_stage.training",
@@ -67,7 +74,7 @@ def parse_arguments(arguments=None):
     return parser.parse_args(arguments)
 
 
-def gather(arguments, params):
+def gather(arguments: argparse.Namespace, params: Any) -> TrainingSet:
     """The training set that the command line names, balanced by camera.
 
     Raises
@@ -98,7 +105,12 @@ def gather(arguments, params):
     )
 
 
-def train_detector(training_set, seed=0, jobs=-1, params=DEFAULT_TRAINING):
+def train_detector(
+    training_set: TrainingSet,
+    seed: int = 0,
+    jobs: int = -1,
+    params: TrainingParams = DEFAULT_TRAINING,
+) -> Detector:
     """Both stages, one after the other.
 
     Parameters
@@ -119,7 +131,7 @@ def train_detector(training_set, seed=0, jobs=-1, params=DEFAULT_TRAINING):
     return Detector(templates, scorer, regressor)
 
 
-def main():
+def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
     params = QUICK_TRAINING if arguments.quick else DEFAULT_TRAINING

@@ -1,5 +1,14 @@
 """Frames and images as other cameras might have taken them. Images are RGB, uint8."""
 
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import AugmentationParams
+    from vehicle_detection.two_stage.training.footage import Example
+
 import cv2
 import numpy as np
 
@@ -10,7 +19,9 @@ from vehicle_detection.tracking.boxes import box_areas, clip_to_frame
 _IDENTITY_CURVE = np.linspace(0, 1, 256)
 
 
-def random_camera(example, rng, params=DEFAULT_AUGMENTATION):
+def random_camera(
+    example: Example, rng: np.random.Generator, params: AugmentationParams = DEFAULT_AUGMENTATION
+) -> tuple:
     """The frame as another camera might have taken it, with its boxes.
 
     Cut on any side, mirrored, smaller, blurred, of other exposure and colour, compressed:
@@ -62,7 +73,9 @@ def _random_cuts(rng, params):
     return rng.uniform(0, params.most_cut) * (rng.random(4) < params.side_chance)
 
 
-def cut_frame(img, boxes, visibility, cuts):
+def cut_frame(
+    img: np.ndarray, boxes: np.ndarray, visibility: np.ndarray, cuts: np.ndarray
+) -> tuple:
     """A frame without a share of each side, the boxes in it, and what is seen of each there.
 
     Parameters
@@ -88,14 +101,16 @@ def cut_frame(img, boxes, visibility, cuts):
     return img[top:bottom, left:right], inside[seen], (visibility * left_over)[seen]
 
 
-def mirrored(img, boxes):
+def mirrored(img: np.ndarray, boxes: np.ndarray) -> tuple:
     """Left and right exchanged."""
     columns = img.shape[1]
     left, top, right, bottom = boxes.T
     return img[:, ::-1], np.stack([columns - right, top, columns - left, bottom], axis=1)
 
 
-def random_exposure(img, rng, params=DEFAULT_AUGMENTATION):
+def random_exposure(
+    img: np.ndarray, rng: np.random.Generator, params: Any = DEFAULT_AUGMENTATION
+) -> np.ndarray:
     """Other gain, gamma, haze, white balance and saturation."""
     if rng.random() >= params.exposure_chance:
         return img
@@ -112,7 +127,9 @@ def random_exposure(img, rng, params=DEFAULT_AUGMENTATION):
     return img
 
 
-def random_crop(path, rng, params=DEFAULT_AUGMENTATION):
+def random_crop(
+    path: str | os.PathLike, rng: np.random.Generator, params: Any = DEFAULT_AUGMENTATION
+) -> np.ndarray:
     """An image of the training set as another camera might have taken it.
 
     Returns
@@ -131,7 +148,9 @@ def random_crop(path, rng, params=DEFAULT_AUGMENTATION):
     return cv2.resize(img, (side, side), interpolation=cv2.INTER_LINEAR)
 
 
-def degrade(patches, rng, params=DEFAULT_AUGMENTATION):
+def degrade(
+    patches: np.ndarray, rng: np.random.Generator, params: AugmentationParams = DEFAULT_AUGMENTATION
+) -> np.ndarray:
     """Half of some patches as a worse camera might have shown them.
 
     Of fewer pixels, out of focus, compressed, in haze or in shade. A vehicle far away is so
@@ -172,7 +191,7 @@ def _degraded(patch, rng, params):
     return patch
 
 
-def compressed(img, quality):
+def compressed(img: np.ndarray, quality: int) -> np.ndarray:
     """The image as JPEG of this quality, from 0 to 100, shows it."""
     encoded = cv2.imencode(".jpg", img, [cv2.IMWRITE_JPEG_QUALITY, int(quality)])[1]
-    return cv2.imdecode(encoded, cv2.IMREAD_COLOR)
+    return np.asarray(cv2.imdecode(encoded, cv2.IMREAD_COLOR))

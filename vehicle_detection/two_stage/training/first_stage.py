@@ -1,5 +1,15 @@
 """Training of the first stage: windows of vehicles and of everything else, hard negatives."""
 
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import TrainingParams
+    from vehicle_detection.two_stage.road import Reach
+    from vehicle_detection.two_stage.training.footage import TrainingSet
+
 from functools import partial
 
 import cv2
@@ -45,13 +55,13 @@ class WindowSamples:
         self._features = [[] for _ in WINDOW_COLUMNS]
         self._labels = [[] for _ in WINDOW_COLUMNS]
 
-    def add(self, samples):
+    def add(self, samples: Iterable) -> None:
         """More windows: (index of the template, features, label) each."""
         for template, features, label in samples:
             self._features[template].append(features.ravel())
             self._labels[template].append(label)
 
-    def fit(self, seed, C):
+    def fit(self, seed: int, C: float) -> tuple:
         """A linear SVM for each template; scaling is folded into its weights."""
         return tuple(
             fit_template(np.array(features), np.array(labels), columns, C, seed)
@@ -61,7 +71,9 @@ class WindowSamples:
         )
 
 
-def fit_template(features, labels, columns, C, seed):
+def fit_template(
+    features: np.ndarray, labels: np.ndarray, columns: int, C: float, seed: int
+) -> Template:
     """Template of a linear SVM; scaling is folded into its weights."""
     if len(set(labels.tolist())) < 2:
         raise ValueError("windows of vehicles or of anything else are missing: give more footage")
@@ -72,7 +84,7 @@ def fit_template(features, labels, columns, C, seed):
     return Template(weights.reshape(WINDOW_ROWS, columns, -1).astype(np.float32), bias)
 
 
-def window_features(img, box, columns):
+def window_features(img: np.ndarray, box: np.ndarray, columns: int) -> np.ndarray:
     """Cells of a window of a template's shape, cut out of the frame with their surroundings."""
     left, top, right, bottom = box
     x, y = (right - left) / columns, (bottom - top) / WINDOW_ROWS
@@ -84,7 +96,7 @@ def window_features(img, box, columns):
     return cell_features(cut_out(img, whole, size))[margin:-margin, margin:-margin]
 
 
-def crop_windows(training_set, rng):
+def crop_windows(training_set: TrainingSet, rng: np.random.Generator) -> Iterator:
     """Yield the training set's images as windows, see `WindowSamples.add`."""
     # Crops show cars, and no car is higher than wide.
     shapes_of_cars = [i for i, columns in enumerate(WINDOW_COLUMNS) if columns >= WINDOW_ROWS]
@@ -108,7 +120,7 @@ def crop_windows(training_set, rng):
             yield i, cell_features(cut), 0
 
 
-def frame_windows(item, count):
+def frame_windows(item: tuple, count: int) -> list:
     """Windows of a frame: its vehicles, and its surroundings at random.
 
     Parameters
@@ -130,7 +142,7 @@ def frame_windows(item, count):
     ]
 
 
-def vehicle_windows(img, boxes, rng):
+def vehicle_windows(img: np.ndarray, boxes: np.ndarray, rng: np.random.Generator) -> Iterator:
     """Yield vehicles of a frame, for the templates whose shape is near theirs."""
     for box in np.concatenate([jittered(boxes, WINDOW_JITTER, rng) for _ in range(2)]):
         shape = (box[2] - box[0]) / (box[3] - box[1])
@@ -139,7 +151,9 @@ def vehicle_windows(img, boxes, rng):
                 yield i, window_features(img, box, columns), 1
 
 
-def surrounding_windows(img, boxes, rng, count):
+def surrounding_windows(
+    img: np.ndarray, boxes: np.ndarray, rng: np.random.Generator, count: int
+) -> Iterator:
     """Yield windows of a frame with no vehicle in them, at random."""
     rows, columns = img.shape[:2]
     where = prior_reach(rows)
@@ -160,7 +174,7 @@ def surrounding_windows(img, boxes, rng, count):
             yield i, window_features(img, window, window_columns), 0
 
 
-def mined_windows(item, templates):
+def mined_windows(item: tuple, templates: tuple) -> list:
     """What the first stage takes for vehicles in a frame and is background, as `frame_windows`."""
     example, rng = item
     img, boxes, _ = random_camera(example, rng)
@@ -173,18 +187,20 @@ def mined_windows(item, templates):
     return samples
 
 
-def proposals_of(img, templates, scan):
+def proposals_of(img: np.ndarray, templates: tuple, scan: Any) -> np.ndarray:
     """Proposals of a frame of which nothing is known, shape (n, 4)."""
     (levels,) = level_groups(img.shape[:2], scan, prior_reach(len(img)))
     return propose(img, levels, templates, scan)[0]
 
 
-def prior_reach(n_rows):
+def prior_reach(n_rows: int) -> Reach:
     """Where vehicles can stand in a frame of `n_rows` of which nothing is known."""
     return reach(prior_road(n_rows, DEFAULT_ROAD), n_rows, DEFAULT_ROAD)
 
 
-def train_templates(training_set, seed, jobs, params):
+def train_templates(
+    training_set: TrainingSet, seed: int, jobs: int, params: TrainingParams
+) -> tuple:
     """The first stage, with hard negatives mined in rounds.
 
     Parameters

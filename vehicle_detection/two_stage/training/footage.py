@@ -1,5 +1,14 @@
 """What is learned from: footage with true boxes, and images of the training set."""
 
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import TrainingParams
+
 import csv
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +41,7 @@ class Example:
     required: np.ndarray
     visibility: np.ndarray
 
-    def read(self):
+    def read(self) -> Any:
         """The frame, RGB."""
         return read_image(self.source) if isinstance(self.source, Path) else self.source
 
@@ -72,16 +81,16 @@ class Footage:
         See `mot.frame_range`.
     """
 
-    path: object
-    truth: object
+    path: str | os.PathLike
+    truth: str | os.PathLike
     frames: str = "1:1000000"
 
-    def read(self):
+    def read(self) -> Any:
         """Its frames as a list of Example, see `read_footage`."""
         return read_footage(self.path, self.truth, self.frames)
 
 
-def read_cameras(path, without=()):
+def read_cameras(path: str | os.PathLike, without: Sequence = ()) -> dict:
     """Footage by camera from a CSV file.
 
     Parameters
@@ -118,7 +127,9 @@ def read_cameras(path, without=()):
     return {name: parts for name, parts in cameras.items() if name not in without}
 
 
-def read_footage(path, truth, frames="1:1000000"):
+def read_footage(
+    path: str | os.PathLike, truth: str | os.PathLike, frames: str = "1:1000000"
+) -> list:
     """Frames of a video or of a folder of images, with their true boxes.
 
     Parameters
@@ -158,7 +169,7 @@ def read_footage(path, truth, frames="1:1000000"):
     return examples
 
 
-def read_boxed_crops(folder, truth):
+def read_boxed_crops(folder: str | os.PathLike, truth: str | os.PathLike) -> list:
     """Those images of a folder that have a true box, as `read_footage`."""
     examples = [example for example in read_footage(folder, truth) if example.required.any()]
     if not examples:
@@ -166,12 +177,12 @@ def read_boxed_crops(folder, truth):
     return examples
 
 
-def images_of_folders(folders):
+def images_of_folders(folders: list) -> list:
     """All images of some folders, see `files.find_images`."""
     return [path for folder in folders for path in find_images(folder)]
 
 
-def balanced(examples, params):
+def balanced(examples: list, params: TrainingParams) -> list:
     """Examples of one camera, thinned out or repeated to as many as every camera has.
 
     Parameters
@@ -190,6 +201,6 @@ def balanced(examples, params):
     return [examples[i % len(examples)] for i in range(count)]
 
 
-def with_generators(examples, *seed):
+def with_generators(examples: list, *seed) -> list:
     """Each example with random numbers of its own, the same on any number of cores."""
     return [(example, np.random.default_rng([*seed, i])) for i, example in enumerate(examples)]

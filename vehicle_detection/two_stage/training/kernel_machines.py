@@ -1,5 +1,12 @@
 """Kernel machines fitted to features: the scorer and the regressor of the second stage."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import TrainingParams
+
 import numpy as np
 from scipy.linalg import block_diag
 from sklearn.cluster import KMeans
@@ -14,7 +21,9 @@ from vehicle_detection.two_stage.features import N_BORDERS
 from vehicle_detection.two_stage.model import KernelMachine
 
 
-def fit_components(features, n_components, rng, border_weight):
+def fit_components(
+    features: np.ndarray, n_components: int, rng: np.random.Generator, border_weight: float
+) -> tuple:
     """Scaling and principal components of cells, borders apart; as an affine map, float32."""
     if len(features) < n_components:
         raise ValueError(f"only {len(features)} patches to learn from: give more footage")
@@ -34,13 +43,17 @@ def fit_components(features, n_components, rng, border_weight):
     return projection.astype(np.float32), offset.astype(np.float32)
 
 
-def apply_components(features, projection, offset, n_rows=5000):
+def apply_components(
+    features: np.ndarray, projection: np.ndarray, offset: np.ndarray, n_rows: int = 5000
+) -> np.ndarray:
     """Components of many features, a part at a time."""
     parts = (features[i : i + n_rows] for i in range(0, len(features), n_rows))
     return np.concatenate([part.astype(np.float32) @ projection.T + offset for part in parts])
 
 
-def fit_regressor(features, shifts, rng, params):
+def fit_regressor(
+    features: np.ndarray, shifts: np.ndarray, rng: np.random.Generator, params: Any
+) -> KernelMachine:
     """Ridge regression on Gaussians around some of the samples, fitted twice.
 
     First on many principal components, the directions along which patches differ
@@ -74,14 +87,23 @@ def fit_regressor(features, shifts, rng, params):
     )
 
 
-def fit_ridge(components, centers, targets, alpha):
+def fit_ridge(
+    components: np.ndarray, centers: np.ndarray, targets: np.ndarray, alpha: float
+) -> tuple:
     """Ridge regression on Gaussians, and their gamma: one by the sum of the variances."""
     gamma = float(1 / components.var(axis=0).sum())
     kernel = rbf_kernel(components.astype(float), centers.astype(float), gamma)
     return Ridge(alpha=alpha, solver="cholesky").fit(kernel, targets), gamma
 
 
-def steepest_directions(components, centers, weights, gamma, count, power=0.35):
+def steepest_directions(
+    components: np.ndarray,
+    centers: np.ndarray,
+    weights: np.ndarray,
+    gamma: float,
+    count: int,
+    power: float = 0.35,
+) -> np.ndarray:
     """Directions in which f(x) = sum_i weights_i exp(-gamma |x - centers_i|^2) changes most.
 
     Parameters
@@ -114,7 +136,9 @@ def steepest_directions(components, centers, weights, gamma, count, power=0.35):
     return (vectors * lengths).T.astype(np.float32)
 
 
-def fit_scorer(features, labels, rng, params):
+def fit_scorer(
+    features: np.ndarray, labels: np.ndarray, rng: np.random.Generator, params: TrainingParams
+) -> KernelMachine:
     """Linear SVM on the map that approximates an RBF kernel by clusters of the samples.
 
     Its decision function is scaled so that the vehicles it learned from have a median of
@@ -164,7 +188,7 @@ def fit_scorer(features, labels, rng, params):
     return KernelMachine(projection, offset, centers, weights, bias, gamma)
 
 
-def cluster_centers(components, count):
+def cluster_centers(components: np.ndarray, count: int) -> np.ndarray:
     """Centers of clusters, or the samples themselves if they are fewer; shape (n, n_components)."""
     if len(components) <= count:
         return components

@@ -1,5 +1,7 @@
 """Boxes to learn from: vehicles with moved edges, parts of vehicles, what lies beside them."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from vehicle_detection.tracking.boxes import best_iou, box_areas, pairwise_overlap
@@ -14,18 +16,18 @@ _FARTHEST_NEIGHBOUR = 1.5
 _MOST_CUT = 0.55
 
 
-def jittered(boxes, spread, rng):
+def jittered(boxes: np.ndarray, spread: float, rng: np.random.Generator) -> np.ndarray:
     """Boxes with every edge moved at random by about `spread` of the size."""
     shifts = np.clip(rng.normal(0, spread, boxes.shape), -2 * spread, 2 * spread)
     return move_edges(boxes, shifts)
 
 
-def with_moved_edges(boxes, rng):
+def with_moved_edges(boxes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Each box three times, its edges moved at random, once by little."""
     return np.concatenate([jittered(boxes, spread, rng) for spread in _PROPOSAL_JITTERS])
 
 
-def random_parts(boxes, rng):
+def random_parts(boxes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A part of each box, three tenths to all of its width and height."""
     size = boxes[:, 2:] - boxes[:, :2]
     part = size * rng.uniform(_LEAST_PART, 1, size.shape)
@@ -33,14 +35,14 @@ def random_parts(boxes, rng):
     return np.hstack([corner, corner + part])
 
 
-def neighbours(boxes, rng):
+def neighbours(boxes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A place on or around each box, where tracks that go astray end up."""
     size = boxes[:, 2:] - boxes[:, :2]
     aside = size * rng.uniform(-_FARTHEST_NEIGHBOUR, _FARTHEST_NEIGHBOUR, size.shape)
     return boxes + np.hstack([aside, aside])
 
 
-def is_background(windows, boxes, iou, covered):
+def is_background(windows: np.ndarray, boxes: np.ndarray, iou: float, covered: float) -> np.ndarray:
     """Which windows overlap every box by less than an IoU and by less than a share of theirs."""
     if not len(boxes):
         return np.ones(len(windows), bool)
@@ -48,7 +50,7 @@ def is_background(windows, boxes, iou, covered):
     return (best_iou(windows, boxes) < iou) & (share.max(axis=1) < covered)
 
 
-def cut_by_border(box, rng):
+def cut_by_border(box: np.ndarray, rng: np.random.Generator) -> tuple:
     """What is left of a box that a border of the frame cuts, on a side at random.
 
     Parameters

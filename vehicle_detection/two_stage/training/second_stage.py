@@ -1,5 +1,15 @@
 """Training of the second stage: patches of vehicles and of everything else."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import TrainingParams
+    from vehicle_detection.two_stage.model import KernelMachine
+    from vehicle_detection.two_stage.training.footage import TrainingSet
+
 from functools import partial
 
 import numpy as np
@@ -39,7 +49,13 @@ CANDIDATE_SCAN = ScanParams(
 )
 
 
-def candidates(img, boxes, required, templates, rng):
+def candidates(
+    img: np.ndarray,
+    boxes: np.ndarray,
+    required: np.ndarray,
+    templates: tuple,
+    rng: np.random.Generator,
+) -> np.ndarray:
     """Proposals of a frame and its vehicles with edges moved at random.
 
     Those that may be neither vehicle nor background are left out.
@@ -57,7 +73,7 @@ def candidates(img, boxes, required, templates, rng):
     return windows[clear | (best_iou(windows, vehicles) > 0.5)]
 
 
-def edge_samples(item, templates, params):
+def edge_samples(item: tuple, templates: tuple, params: TrainingParams) -> tuple:
     """Patches around the vehicles of a frame, and the shifts of their edges.
 
     Parameters
@@ -78,7 +94,7 @@ def edge_samples(item, templates, params):
     return _edges(img, windows, boxes[required], (np.ones(N_BORDERS), params), rng)
 
 
-def crop_edge_samples(item, params):
+def crop_edge_samples(item: tuple, params: Any) -> tuple:
     """As `edge_samples`, of a vehicle that was cut out of a frame with a margin."""
     example, rng = item
     img, boxes, required = random_camera(example, rng)
@@ -100,7 +116,9 @@ def _edges(img, windows, vehicles, ends_and_params, rng):
     return describe_for_regressor(planes, outside).astype(np.float16), (own - windows) / size
 
 
-def train_regressor(training_set, templates, seed, jobs, params):
+def train_regressor(
+    training_set: TrainingSet, templates: tuple, seed: int, jobs: int, params: Any
+) -> KernelMachine:
     """From patches around vehicles to the shifts of their edges, a KernelMachine."""
     items = with_generators(training_set.examples, seed, 4)
     crops = with_generators(params.crop_views * training_set.boxed_crops, seed, 9)
@@ -115,7 +133,7 @@ def train_regressor(training_set, templates, seed, jobs, params):
     return fit_regressor(features, shifts, np.random.default_rng([seed, 5]), params)
 
 
-def patch_samples(item, machines, params):
+def patch_samples(item: tuple, machines: tuple, params: TrainingParams) -> tuple:
     """Patches of a frame where the regressor has moved them, vehicles and background.
 
     Parameters
@@ -150,7 +168,7 @@ def patch_samples(item, machines, params):
     return features.astype(np.float16), labels
 
 
-def crop_patches(training_set, rng, params):
+def crop_patches(training_set: TrainingSet, rng: np.random.Generator, params: Any) -> Iterator:
     """Yield patches of the training set's images, as `patch_samples`.
 
     Each is taken whole, as if it were cut by the frame's border, and, of vehicles, in parts
@@ -172,7 +190,9 @@ def crop_patches(training_set, rng, params):
         yield features, np.array([label, label, *np.zeros(len(parts), int)])
 
 
-def train_scorer(training_set, machines, seed, jobs, params):
+def train_scorer(
+    training_set: TrainingSet, machines: tuple, seed: int, jobs: int, params: TrainingParams
+) -> KernelMachine:
     """From patches to vehicle or not, a KernelMachine, with one round of hard patches.
 
     Parameters
@@ -187,7 +207,7 @@ def train_scorer(training_set, machines, seed, jobs, params):
     scorer : KernelMachine
     """
     samples = list(crop_patches(training_set, np.random.default_rng([seed, 6]), params))
-    scorer = None
+    scorer: Any = None
     for mining in range(2):
         items = with_generators(training_set.examples, seed, 7, mining)
         find = partial(patch_samples, machines=(*machines, scorer), params=params)
