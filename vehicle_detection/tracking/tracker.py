@@ -132,9 +132,7 @@ class Tracker:
             track.predict()
         return stack_boxes([t.box for t in self._tracks if t.identity or t.n_missed == 1])
 
-    def update(
-        self, boxes: np.ndarray, scores: np.ndarray, n_columns: int | None = None
-    ) -> list:
+    def update(self, boxes: np.ndarray, scores: np.ndarray, n_columns: int | None = None) -> list:
         """Give the boxes of this frame to the tracks.
 
         Parameters
