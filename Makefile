@@ -79,7 +79,7 @@ evaluate: .venv/installed
 
 docs: notebooks
 	for name in $(NOTEBOOKS); do \
-		$(BIN)/python -m docs.executed output/$$name.ipynb docs/$$name.md || exit 1; \
+		$(BIN)/python -m experiments.executed output/$$name.ipynb docs/$$name.md || exit 1; \
 	done
 
 clean:

@@ -300,6 +300,8 @@ class SelectionParams:
         Least and largest height of a box, in smallest and largest windows of the scan.
     aspect_range : (float, float)
         Least and largest width by height: a lorry from behind, a bus from the side.
+    at_border : float
+        A box touches the border of the frame if it ends within this share of its size.
     whole_car_aspect : float
         A box wider than this by its height, away from the border, is a whole car. Lorries and
         vans are narrower, and would be taken for nearer cars.
@@ -315,6 +317,7 @@ class SelectionParams:
     min_visible: float = 0.6
     size_range: tuple = (1 / 1.5, 1.25)
     aspect_range: tuple = (0.5, 3.5)
+    at_border: float = 0.02
     whole_car_aspect: float = 1.1
 
 
@@ -548,9 +551,6 @@ class TrainingParams:
     scorer_size, regressor_size : (int, int)
         Components of patches, and centers. What is a vehicle shows in more details than where
         its edges are, but there are more places for edges.
-    border_weight : float
-        Distance of a margin outside of the frame from one inside, in distances of two patches.
-        Between 0, a border does not count, and 1, what the border cuts is a class of its own.
     vehicle_score : float
         Median score of the vehicles that were learned from.
     sure_score : float
@@ -572,7 +572,6 @@ class TrainingParams:
     ridge_alpha: float = 1.0
     scorer_size: tuple = (124, 2000)
     regressor_size: tuple = (64, 3000)
-    border_weight: float = 0.3
     vehicle_score: float = 1.5
     sure_score: float = 0.5
     n_principal: int = 600

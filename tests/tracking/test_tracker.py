@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from vehicle_detection.media.drawing import draw_vehicles, identity_color
 from vehicle_detection.parameters import TrackParams
-from vehicle_detection.tracking.boxes import pairwise_iou
+from vehicle_detection.tracking.boxes import pairwise_iou, touches_border
 from vehicle_detection.tracking.tracker import Tracker
 
 
@@ -28,6 +28,14 @@ def step(tracker, of_frame):
 def test_iou_of_known_boxes():
     a, b = boxes((0, 0, 10, 10)), boxes((5, 0, 15, 10), (20, 20, 30, 30), (0, 0, 10, 10))
     np.testing.assert_allclose(pairwise_iou(a, b), [[50 / 150, 0, 1]])
+
+
+def test_edges_at_the_border_are_told_on_all_sides():
+    own = np.array([(0, 50, 80, 90), (1.5, 60, 81.5, 100), (116, 2, 199, 42), (40, 20, 60, 60)])
+    touches = touches_border(own, (100, 200, 3), share=0.02)
+    expected = [(1, 0, 0, 0), (1, 0, 0, 1), (0, 0, 1, 0), (0, 0, 0, 0)]
+    np.testing.assert_array_equal(touches, expected)
+    assert touches_border(own[:0], (100, 200), 0.02).shape == (0, 4)
 
 
 def test_two_vehicles_keep_their_identities_whatever_the_order():

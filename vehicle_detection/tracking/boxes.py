@@ -41,6 +41,27 @@ def clip_to_frame(boxes: np.ndarray, frame_shape: tuple) -> np.ndarray:
     return np.clip(boxes, 0, (columns, rows, columns, rows))
 
 
+def touches_border(boxes: np.ndarray, frame_shape: tuple, share: float) -> np.ndarray:
+    """Which edges of boxes lie at the border of the frame, or beyond it.
+
+    Parameters
+    ----------
+    boxes : ndarray of float, shape (n, 4)
+    frame_shape : (rows, columns, ...)
+    share : float
+        How near an edge must be, in widths or heights of the box.
+
+    Returns
+    -------
+    touches : ndarray of bool, shape (n, 4)
+        Left, top, right, bottom.
+    """
+    rows, columns = frame_shape[:2]
+    near = share * (boxes[:, 2:] - boxes[:, :2])
+    low, high = boxes[:, :2] < near, boxes[:, 2:] > (columns, rows) - near
+    return np.hstack([low, high])
+
+
 def stack_boxes(boxes: list) -> np.ndarray:
     """A list of single boxes as one array of shape (n, 4), also if the list is empty."""
     return np.array(boxes, float).reshape(-1, 4)

@@ -24,9 +24,8 @@ from vehicle_detection.parameters import (
     DEFAULT_SELECTION,
     DEFAULT_TRACKS,
 )
-from vehicle_detection.tracking.boxes import clip_to_frame, stack_boxes
+from vehicle_detection.tracking.boxes import clip_to_frame, stack_boxes, touches_border
 from vehicle_detection.tracking.tracker import Tracker
-from vehicle_detection.two_stage.features import margins_outside
 from vehicle_detection.two_stage.model import load_detector
 from vehicle_detection.two_stage.proposals import level_groups, propose
 from vehicle_detection.two_stage.refinement import merge, refine
@@ -177,8 +176,8 @@ class TwoStageVehicle(Viewer):
         """Candidates that lose score where no vehicle can stand."""
         boxes, params = candidates.boxes, self.road_params
         # A vehicle that the lower border cuts stands lower than it seems to.
-        is_seen = 1 - margins_outside(boxes, self._frame_shape)[:, 3]
-        cost = params.cost * is_seen * misplacement(boxes, road, params) ** 2 / 2
+        at_border = touches_border(boxes, self._frame_shape, self.selection.at_border)
+        cost = params.cost * ~at_border[:, 3] * misplacement(boxes, road, params) ** 2 / 2
         return replace(candidates, scores=candidates.scores - cost)
 
     def _suppress(self, candidates):
@@ -188,8 +187,8 @@ class TwoStageVehicle(Viewer):
     def _are_whole_cars(self, boxes):
         """Which boxes tell where the road is."""
         width, height = (boxes[:, 2:] - boxes[:, :2]).T
-        whole = (margins_outside(boxes, self._frame_shape) < 1).all(axis=1)
-        return whole & (width > self.selection.whole_car_aspect * height)
+        at_border = touches_border(boxes, self._frame_shape, self.selection.at_border)
+        return ~at_border.any(axis=1) & (width > self.selection.whole_car_aspect * height)
 
     def _detections(self, proposals, candidates, tracks):
         """Vehicles are the confirmed tracks, with a box in this frame or without."""

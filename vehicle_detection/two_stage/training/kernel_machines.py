@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from vehicle_detection.parameters import TrainingParams
 
 import numpy as np
-from scipy.linalg import block_diag
 from sklearn.cluster import KMeans
 from sklearn.decomposition import PCA
 from sklearn.kernel_approximation import Nystroem
@@ -17,29 +16,22 @@ from sklearn.metrics.pairwise import rbf_kernel
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 
-from vehicle_detection.two_stage.features import N_BORDERS
 from vehicle_detection.two_stage.model import KernelMachine
 
 
-def fit_components(
-    features: np.ndarray, n_components: int, rng: np.random.Generator, border_weight: float
-) -> tuple:
-    """Scaling and principal components of cells, borders apart; as an affine map, float32."""
+def fit_components(features: np.ndarray, n_components: int, rng: np.random.Generator) -> tuple:
+    """Scaling and principal components of cells, as an affine map, float32."""
     if len(features) < n_components:
         raise ValueError(f"only {len(features)} patches to learn from: give more footage")
     chosen = rng.permutation(len(features))[:15_000]
     scaler = StandardScaler()
     # Cells that are nearly always empty would weigh most if they were scaled up.
-    some = scaler.fit_transform(features[chosen, :-N_BORDERS].astype(np.float32))
+    some = scaler.fit_transform(features[chosen].astype(np.float32))
     scale = np.maximum(scaler.scale_, 0.01)
     some *= scaler.scale_ / scale
     pca = PCA(n_components, svd_solver="randomized", random_state=0).fit(some)
     projection = pca.components_ / scale
     offset = -(projection @ scaler.mean_) - pca.components_ @ pca.mean_
-    # The mean distance of two patches is the root of twice their variance.
-    border = border_weight * np.sqrt(2 * pca.explained_variance_.sum()) * np.eye(N_BORDERS)
-    projection = block_diag(projection, border)
-    offset = np.concatenate([offset, np.zeros(N_BORDERS)])
     return projection.astype(np.float32), offset.astype(np.float32)
 
 
@@ -67,10 +59,8 @@ def fit_regressor(
            machine learning models", Science 383, 2024.
     """
     n_components, n_centers = params.regressor_size
-    n_principal = min(params.n_principal, len(features), features.shape[1] - N_BORDERS)
-    projection, offset = fit_components(
-        features, max(n_components, n_principal), rng, params.border_weight
-    )
+    n_principal = min(params.n_principal, len(features), features.shape[1])
+    projection, offset = fit_components(features, max(n_components, n_principal), rng)
     components = apply_components(features, projection, offset)
     chosen = rng.permutation(len(components))
     centers = components[chosen[:n_centers]]
@@ -151,7 +141,7 @@ def fit_scorer(
     Parameters
     ----------
     features : ndarray of float32, shape (n, N_INNER_FEATURES)
-        See `features.scorer_features`: the last are the margins outside of the frame.
+        See `features.scorer_features`.
     labels : ndarray, shape (n,)
         Positive for vehicles.
     rng : numpy.random.Generator
@@ -170,7 +160,7 @@ def fit_scorer(
     """
     print(f"patches: {len(labels)}, {labels.mean():.0%} vehicles")
     n_components, n_centers = params.scorer_size
-    projection, offset = fit_components(features, n_components, rng, params.border_weight)
+    projection, offset = fit_components(features, n_components, rng)
     components = apply_components(features, projection, offset)
     gamma = float(1 / components[:, :n_components].var(axis=0).sum())
     centers = np.concatenate(

@@ -50,7 +50,7 @@ def is_background(windows: np.ndarray, boxes: np.ndarray, iou: float, covered: f
     return (best_iou(windows, boxes) < iou) & (share.max(axis=1) < covered)
 
 
-def cut_by_border(box: np.ndarray, rng: np.random.Generator) -> tuple:
+def cut_by_border(box: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """What is left of a box that a border of the frame cuts, on a side at random.
 
     Parameters
@@ -61,11 +61,8 @@ def cut_by_border(box: np.ndarray, rng: np.random.Generator) -> tuple:
     Returns
     -------
     box : ndarray of float, shape (4,)
-    outside : ndarray of float, shape (4,)
-        See `features.margins_outside`.
     """
     side = rng.integers(4)
-    box, outside = box.copy(), np.zeros(4)
+    box = box.copy()
     box[side] += rng.uniform(0, _MOST_CUT) * (box[(side + 2) % 4] - box[side])
-    outside[side] = 1
-    return box, outside
+    return box

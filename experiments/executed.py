@@ -1,0 +1,59 @@
+"""Executed notebooks as Markdown with small pictures, to be read without running anything.
+
+python -m experiments.executed output/image_pipeline.ipynb docs/image_pipeline.md
+"""
+
+import argparse
+from pathlib import Path
+
+import cv2
+import numpy as np
+from nbconvert import MarkdownExporter
+from traitlets.config import Config
+
+from vehicle_detection.media.files import write_whole
+
+# The outputs of cells with this tag are left out: embedded videos.
+LEFT_OUT = "video"
+_JPEG_QUALITY = 80
+_WIDEST = 1400
+
+
+def small_jpeg(png):
+    """A PNG's content as that of a JPEG, made smaller if it is wide."""
+    img = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    scale = min(1, _WIDEST / img.shape[1])
+    img = cv2.resize(img, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return cv2.imencode(".jpg", img, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
+
+
+def convert(notebook, path):
+    """Write an executed notebook as Markdown, and its pictures into a folder beside it."""
+    config = Config()
+    config.TagRemovePreprocessor.enabled = True
+    config.TagRemovePreprocessor.remove_all_outputs_tags = (LEFT_OUT,)
+    config.TagRemovePreprocessor.remove_cell_tags = ("injected-parameters",)
+    folder = path.with_suffix("").name
+    text, resources = MarkdownExporter(config=config).from_filename(
+        str(notebook), resources={"output_files_dir": f"{folder}_files"}
+    )
+    for name, content in resources["outputs"].items():
+        jpeg = Path(name).with_suffix(".jpg")
+        write_whole(path.parent / jpeg, small_jpeg(content))
+        text = text.replace(name, str(jpeg))
+    write_whole(path, text)
+
+
+def main():
+    """Run the command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.executed", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument("notebook", type=Path)
+    parser.add_argument("path", type=Path, help="Markdown file to write")
+    arguments = parser.parse_args()
+    convert(arguments.notebook, arguments.path)
+
+
+if __name__ == "__main__":
+    main()
