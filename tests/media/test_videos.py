@@ -80,7 +80,7 @@ def test_an_encoder_that_fails_midway_is_named(tmp_path, monkeypatch, script, re
     encoder = tmp_path / "encoder"
     encoder.write_text(f"#!/bin/sh\n{script}\n")
     encoder.chmod(0o755)
-    monkeypatch.setattr("vehicle_detection.media.videos.FFMPEG_BINARY", str(encoder))
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(encoder))
     with pytest.raises(OSError, match=rf"/clip\.mp4: cannot be encoded: .*{reason}"):
         write_video(tmp_path / "clip.mp4", moving_frames(40))
     assert list(tmp_path.iterdir()) == [encoder]

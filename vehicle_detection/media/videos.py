@@ -18,7 +18,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from moviepy.config import FFMPEG_BINARY
 
 from vehicle_detection.media.files import written_whole
 
@@ -183,6 +182,14 @@ def video_writer(path: str | os.PathLike, info: VideoInfo, preset: str = "ultraf
         encoder.require_success()
 
 
+def _ffmpeg():
+    """Path of the ffmpeg that moviepy uses too."""
+    # Imported here: only who writes a video needs it.
+    import imageio_ffmpeg
+
+    return imageio_ffmpeg.get_ffmpeg_exe()
+
+
 class _Encoder:
     """The ffmpeg that moviepy brings along, and a thread that feeds it.
 
@@ -203,7 +210,7 @@ class _Encoder:
         self._is_even = info.width % 2 == info.height % 2 == 0
         pixels = ["-pix_fmt", "yuv420p"] if self._is_even else ["-pix_fmt", "rgb24"]
         command = [
-            FFMPEG_BINARY, "-y", "-loglevel", "error", "-f", "rawvideo", *pixels,
+            _ffmpeg(), "-y", "-loglevel", "error", "-f", "rawvideo", *pixels,
             "-s", f"{info.width}x{info.height}", "-r", str(info.fps), "-i", "-",
             "-vcodec", "libx264", "-preset", preset, str(Path(partial).resolve()),
         ]  # fmt: skip
