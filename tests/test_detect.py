@@ -2,10 +2,12 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import detect
 from conftest import ROOT, moving_frames, random_detector, textured_image, write_video
 from vehicle import Vehicle
 from vehicle_detection.media.images import write_image
@@ -66,6 +68,14 @@ def test_detect_with_two_stages_writes_what_vehicle_finds(tmp_path):
     rows = mot_rows(1, still.detect(next(moving_frames(1))))
     assert (tmp_path / "out/still.txt").read_text().splitlines() == rows
     assert len(rows) > 0
+
+
+def test_without_arguments_the_shipped_clip_is_meant():
+    arguments = detect.parse_arguments([])
+    assert arguments.inputs == [ROOT / "videos/drive.mp4"] and arguments.inputs[0].is_file()
+    assert arguments.out == Path("output") and arguments.method == "two-stage"
+    for path in detect.SHIPPED_PARAMS.values():
+        assert path.is_file()
 
 
 @pytest.mark.parametrize("option", [("--horizon", "0.5"), ("--scan-every", "3")])

@@ -5,17 +5,20 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from moviepy import VideoFileClip
 
-from conftest import ROOT, moving_frames, textured_image
+from conftest import ROOT, moving_frames, random_classifier, textured_image
 from experiments import reference
-from pipeline_functions import are_near
+from pipeline_functions import are_near, find_cars
 from vehicle import Vehicle
 from vehicle_detection.media.calibration import Calibration, save_calibration
 from vehicle_detection.media.drawing import identity_color
+from vehicle_detection.media.videos import read_frames
 from vehicle_detection.parameters import (
     FEATURE_PRESETS,
     FILTER_PRESETS,
     SEARCH_PRESETS,
+    FeatureParams,
     FilterParams,
 )
 
@@ -105,3 +108,50 @@ def test_shipped_classifier_is_preset_g():
     vehicle = Vehicle(ROOT / "param/calib.p", ROOT / "param/svc_pickle.p")
     assert vehicle.classifier.params == FEATURE_PRESETS["G"]
     assert vehicle.classifier.data_counts == {"vehicles": 8792, "non-vehicles": 8968}
+
+
+def test_the_write_ups_own_line_works_as_it_stands(tmp_path, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    out = tmp_path / "annotated.mp4"
+    VideoFileClip("videos/drive.mp4").image_transform(
+        Vehicle("./param/calib.p", "./param/svc_pickle.p").process_image
+    ).write_videofile(str(out), logger=None)
+    assert sum(1 for _ in read_frames(out)) == sum(1 for _ in read_frames("videos/drive.mp4"))
+
+
+def test_a_vehicle_has_the_write_ups_parameters_and_takes_a_classifier(classifier_g):
+    vehicle = Vehicle(None, classifier_g)
+    assert (vehicle.n_acc, vehicle.n_occ_thr, vehicle.threshold) == (15, 4, 12)
+    assert vehicle.calibration is None
+    vehicle.load_calibration(ROOT / "param/calib.p")
+    assert vehicle.calibration.mtx.shape == (3, 3)
+    assert vehicle.process_image(next(moving_frames(1, 360, 640))).shape == (360, 640, 3)
+
+
+def test_any_classifier_with_a_decision_function_will_do():
+    linear = random_classifier(FeatureParams(hist_color="RGB"))
+
+    class Own:
+        """Scores like the linear one, without telling its weights."""
+
+        params = linear.params
+
+        def decision_function(self, features):
+            return linear.decision_function(features)
+
+    frame = next(moving_frames(1))
+    ours, theirs = Vehicle(None, Own()), Vehicle(None, linear)
+    hot = ours.detect(frame).hot_windows
+    np.testing.assert_array_equal(hot, theirs.detect(frame).hot_windows)
+    assert len(hot) > 0
+
+
+@pytest.mark.parametrize("limits", [(0, 640), (400, 1280)])
+def test_x_limits_leave_out_windows(limits):
+    classifier = random_classifier(FeatureParams(hist_color="RGB"))
+    frame = next(moving_frames(1, 720, 1280))
+    everywhere, scores = find_cars(frame, classifier, SEARCH_PRESETS["G"])
+    windows, own = find_cars(frame, classifier, replace(SEARCH_PRESETS["G"], x_limits=limits))
+    within = (everywhere[:, 0] >= limits[0]) & (everywhere[:, 2] <= limits[1])
+    np.testing.assert_array_equal(windows, everywhere[within])
+    np.testing.assert_allclose(own, scores[within], atol=1e-5)
