@@ -446,7 +446,7 @@ DEFAULT_TRACKS = TrackParams(
     kept_velocity=0.8, confirm_at=2.0, max_score=8.0, score_offset=0.35, miss_penalty=0.9,
 )  # fmt: skip
 # A still has no other frame to agree with.
-STILL_TRACKS = TrackParams(confirm_at=0.5)
+STILL_TRACKS = TrackParams(confirm_at=0.6)
 
 
 # --------------------------------------------------------------------- training
