@@ -21,8 +21,8 @@ from vehicle_detection.parameters import (
     FILTER_PRESETS,
     METHODS,
     SEARCH_PRESETS,
-    STILL_SCAN,
-    STILL_TRACKS,
+    STILL_PARAMS,
+    VIDEO_PARAMS,
 )
 
 ROOT = Path(__file__).parent
@@ -137,7 +137,7 @@ def open_vehicle(arguments: argparse.Namespace, is_still: bool) -> Any:
     if arguments.method == "two-stage":
         from vehicle_detection.two_stage.vehicle import TwoStageVehicle
 
-        return TwoStageVehicle(*paths, *((STILL_SCAN, STILL_TRACKS) if is_still else ()))
+        return TwoStageVehicle(*paths, STILL_PARAMS if is_still else VIDEO_PARAMS)
     from vehicle import Vehicle
     from vehicle_detection.classifier import load_classifier
 

@@ -9,7 +9,7 @@ precision over folders is given.
 
 import argparse
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,11 +26,9 @@ from vehicle_detection.parameters import (
     DEFAULT_ROAD,
     DEFAULT_SELECTION,
     DEFAULT_TRACKS,
-    STILL_SCAN,
-    STILL_TRACKS,
-    RoadParams,
-    SelectionParams,
-    TrackParams,
+    STILL_PARAMS,
+    VIDEO_PARAMS,
+    TwoStageParams,
 )
 from vehicle_detection.two_stage.vehicle import TwoStageVehicle
 
@@ -52,39 +50,32 @@ STILLS = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Rules:
-    """Parameters of the detector, some of which are switched off."""
-
-    selection: SelectionParams = DEFAULT_SELECTION
-    road: RoadParams = DEFAULT_ROAD
-    tracks: TrackParams = DEFAULT_TRACKS
-
-
 NEVER = float("inf")
+
+
+def selection(**changes):
+    """All rules but some of the selection."""
+    return TwoStageParams(selection=replace(DEFAULT_SELECTION, **changes))
+
+
+def tracks(**changes):
+    """All rules but some of the tracks."""
+    return TwoStageParams(tracks=replace(DEFAULT_TRACKS, **changes))
+
+
 VARIANTS = {
-    "all rules": Rules(),
-    "no road: misplaced boxes keep their score": Rules(road=replace(DEFAULT_ROAD, cost=0)),
-    "a part of a better box may stay (max_covered 1)": Rules(
-        selection=replace(DEFAULT_SELECTION, max_covered=1)
-    ),
-    "what is in front of a larger box goes (in_front)": Rules(
-        selection=replace(DEFAULT_SELECTION, in_front=NEVER)
-    ),
-    "no bonus for predicted boxes (track_bonus 0)": Rules(
-        selection=replace(DEFAULT_SELECTION, track_bonus=0)
-    ),
-    "any growth (max_growth)": Rules(tracks=replace(DEFAULT_TRACKS, max_growth=NEVER)),
-    "full velocity when missed (kept_velocity 1)": Rules(
-        tracks=replace(DEFAULT_TRACKS, kept_velocity=1)
-    ),
-    "no velocity when missed (kept_velocity 0)": Rules(
-        tracks=replace(DEFAULT_TRACKS, kept_velocity=0)
-    ),
-    "no offset of scores (score_offset 0)": Rules(tracks=replace(DEFAULT_TRACKS, score_offset=0)),
-    "confirmed at once (confirm_at 0)": Rules(tracks=replace(DEFAULT_TRACKS, confirm_at=0)),
-    "lost tracks are forgotten (max_missed 0)": Rules(tracks=replace(DEFAULT_TRACKS, max_missed=0)),
-    "nothing leaves at the side (at_side)": Rules(tracks=replace(DEFAULT_TRACKS, at_side=-NEVER)),
+    "none": VIDEO_PARAMS,
+    "no road (cost 0)": TwoStageParams(road=replace(DEFAULT_ROAD, cost=0)),
+    "parts of better boxes stay (max_covered 1)": selection(max_covered=1),
+    "what is in front of a larger box goes (in_front)": selection(in_front=NEVER),
+    "no bonus for predicted boxes (track_bonus 0)": selection(track_bonus=0),
+    "any growth (max_growth)": tracks(max_growth=NEVER),
+    "full velocity when missed (kept_velocity 1)": tracks(kept_velocity=1),
+    "no velocity when missed (kept_velocity 0)": tracks(kept_velocity=0),
+    "no offset of scores (score_offset 0)": tracks(score_offset=0),
+    "confirmed at once (confirm_at 0)": tracks(confirm_at=0),
+    "lost tracks are forgotten (max_missed 0)": tracks(max_missed=0),
+    "nothing leaves at the side (at_side)": tracks(at_side=-NEVER),
 }
 
 
@@ -103,10 +94,7 @@ def errors_on(clip, rules):
     """False positives, misses and identity switches of a variant on a clip."""
     path, truth, frames, group = clip
     detector = DETECTORS / f"{QUICK_GROUPS[group]}_quick.npz"
-    vehicle = TwoStageVehicle(
-        None, detector, track_params=rules.tracks, selection=rules.selection,
-        road_params=rules.road,
-    )  # fmt: skip
+    vehicle = TwoStageVehicle(None, detector, rules)
     found = [vehicle.detect(frame) for frame in frames_of(located(path))]
     figures = evaluate(read_rows(located(truth)), rows_of_detections(found), frame_range(frames))
     return [figures[n] or 0 for n in ("false positives", "misses", "identity switches")]
@@ -117,9 +105,8 @@ def precision_on_stills(rules):
     values = []
     for name, group in STILLS.items():
         detector = DETECTORS / f"{QUICK_GROUPS[group]}_quick.npz"
-        vehicle = TwoStageVehicle(
-            None, detector, STILL_SCAN, STILL_TRACKS, rules.selection, rules.road
-        )
+        params = replace(rules, scan=STILL_PARAMS.scan, tracks=STILL_PARAMS.tracks)
+        vehicle = TwoStageVehicle(None, detector, params)
         values.append(score_folder(SHARED / "footage" / name, vehicle).average_precision)
     return float(np.mean(values))
 
@@ -146,7 +133,7 @@ def main():
     if missing or not SHARED.is_dir():
         sys.exit(f"error: run experiments.leave_one_out run --quick first: no {missing}")
     rows = Parallel(n_jobs=arguments.jobs)(
-        delayed(row_of)(name, rules, Rules()) for name, rules in VARIANTS.items()
+        delayed(row_of)(name, rules, VIDEO_PARAMS) for name, rules in VARIANTS.items()
     )
     heads = [*CLIPS, "AP of stills"]
     lines = [

@@ -130,16 +130,16 @@ def stages_of_two(frames, paths):
     vehicle = TwoStageVehicle(None, paths[2])
     for frame in frames[-20:]:
         detections = vehicle.detect(frame)
-    scan, learned, params = vehicle.scan, vehicle.detector, vehicle.road_params
+    scan, learned, params = vehicle.params.scan, vehicle.detector, vehicle.params.road
     where = reach(prior_road(len(frame), params), len(frame), params)
     groups = cycle(level_groups(frame.shape[:2], scan, where))
-    proposed = merge(np.empty((0, 4)), detections.proposals, vehicle.selection.same_iou)
+    proposed = merge(np.empty((0, 4)), detections.proposals, vehicle.params.selection.same_iou)
     boxes, scores = detections.candidates, detections.candidate_scores
-    discard_below = vehicle.selection.discard_below
+    discard_below = vehicle.params.selection.discard_below
     calls = {
         "first stage": lambda: propose(frame, next(groups), learned.templates, scan),
         "refinement": lambda: refine(frame, proposed, learned, discard_below),
-        "suppression": lambda: non_max_suppression(boxes, scores, vehicle.selection),
+        "suppression": lambda: non_max_suppression(boxes, scores, vehicle.params.selection),
     }
     return {name: milliseconds(call, 40) for name, call in calls.items()}
 

@@ -29,8 +29,7 @@ from vehicle_detection.media.videos import VIDEO_SUFFIXES, read_frames
 from vehicle_detection.parameters import (
     DEFAULT_TRAINING,
     QUICK_TRAINING,
-    STILL_SCAN,
-    STILL_TRACKS,
+    STILL_PARAMS,
 )
 from vehicle_detection.two_stage.model import save_detector
 from vehicle_detection.two_stage.training.__main__ import gather, parse_arguments, train_detector
@@ -90,7 +89,7 @@ def name_of(camera, part):
 def figures_of_footage(part, detector):
     """Figures of a folder of stills, picture by picture, or of a video, as a dict."""
     if not is_video(part):
-        vehicle = TwoStageVehicle(None, detector, STILL_SCAN, STILL_TRACKS)
+        vehicle = TwoStageVehicle(None, detector, STILL_PARAMS)
         return asdict(score_folder(Path(part.truth).parent, vehicle))
     vehicle = TwoStageVehicle(None, detector)
     found = [vehicle.detect(frame) for frame in read_frames(part.path)]

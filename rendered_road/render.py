@@ -795,13 +795,14 @@ def _facades(view):
         x = side * (world.n_lanes * LANE_WIDTH / 2 + rng.uniform(5, 10))
         while z < 160:
             length, height = rng.uniform(8, 25), rng.uniform(5, 20)
-            things.append((z + length, _draw_facade, (x, z, length, height, rng.integers(4))))
+            things.append((z + length, _draw_facade, ((x, z, length, height, rng.integers(4)),)))
             z += length + rng.choice([0.2, 6.0])
     return things
 
 
-def _draw_facade(view, picture, x, z, length, height, sprite):
-    """A wall along the road, in perspective."""
+def _draw_facade(view, picture, place):
+    """A wall along the road, in perspective; place is x, z, length, height and its sprite."""
+    x, z, length, height, sprite = place
     wall = _facade_sprites(view.world.seed)[sprite]
     corners = view.pixels(
         np.full(4, x), np.array([height, height, 0, 0]), np.array([z, z + length, z + length, z])

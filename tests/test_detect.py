@@ -13,7 +13,7 @@ from vehicle import Vehicle
 from vehicle_detection.media.images import write_image
 from vehicle_detection.media.mot import mot_rows
 from vehicle_detection.media.videos import read_frames, video_info
-from vehicle_detection.parameters import STILL_SCAN, STILL_TRACKS
+from vehicle_detection.parameters import STILL_PARAMS
 from vehicle_detection.two_stage.model import save_detector
 from vehicle_detection.two_stage.vehicle import TwoStageVehicle
 
@@ -64,7 +64,7 @@ def test_detect_with_two_stages_writes_what_vehicle_finds(tmp_path):
     lines = (tmp_path / "out/clip.txt").read_text().splitlines()
     assert lines == [row for n, one in enumerate(found, start=1) for row in mot_rows(n, one)]
     assert video_info(tmp_path / "out/clip_split.mp4").n_frames == 9
-    still = TwoStageVehicle(None, tmp_path / "detector.npz", STILL_SCAN, STILL_TRACKS)
+    still = TwoStageVehicle(None, tmp_path / "detector.npz", STILL_PARAMS)
     rows = mot_rows(1, still.detect(next(moving_frames(1))))
     assert (tmp_path / "out/still.txt").read_text().splitlines() == rows
     assert len(rows) > 0

@@ -270,8 +270,6 @@ class ScanParams:
 
 
 DEFAULT_SCAN = ScanParams()
-# A still is scanned at all scales at once.
-STILL_SCAN = ScanParams(cells_per_step=1, n_groups=1, n_proposals=12)
 
 
 @dataclass(frozen=True)
@@ -445,8 +443,32 @@ DEFAULT_TRACKS = TrackParams(
     min_iou=0.2, max_growth=1.4, max_missed=75, measurement_noise=0.1, process_noise=0.01,
     kept_velocity=0.8, confirm_at=2.0, max_score=8.0, score_offset=0.35, miss_penalty=0.9,
 )  # fmt: skip
-# A still has no other frame to agree with.
-STILL_TRACKS = TrackParams(confirm_at=0.6)
+
+
+@dataclass(frozen=True)
+class TwoStageParams:
+    """All parameters of the two-stage detector.
+
+    Attributes
+    ----------
+    scan : ScanParams
+    selection : SelectionParams
+    road : RoadParams
+    tracks : TrackParams
+    """
+
+    scan: ScanParams = DEFAULT_SCAN
+    selection: SelectionParams = DEFAULT_SELECTION
+    road: RoadParams = DEFAULT_ROAD
+    tracks: TrackParams = DEFAULT_TRACKS
+
+
+VIDEO_PARAMS = TwoStageParams()
+# A still is scanned at all scales at once, and has no other frame to agree with.
+STILL_PARAMS = TwoStageParams(
+    scan=ScanParams(cells_per_step=1, n_groups=1, n_proposals=12),
+    tracks=TrackParams(confirm_at=0.6),
+)
 
 
 # --------------------------------------------------------------------- training

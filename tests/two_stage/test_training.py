@@ -20,8 +20,7 @@ from vehicle_detection.media.mot import read_rows, rows_of
 from vehicle_detection.media.videos import VideoInfo, video_writer
 from vehicle_detection.parameters import (
     DEFAULT_TRAINING,
-    STILL_SCAN,
-    STILL_TRACKS,
+    STILL_PARAMS,
     TrainingParams,
 )
 from vehicle_detection.tracking.boxes import best_iou, pairwise_iou, pairwise_overlap
@@ -462,7 +461,7 @@ def detector(scenes):
 
 
 def test_a_detector_of_rendered_scenes_finds_vehicles_in_others(scenes, detector):
-    vehicle = TwoStageVehicle(None, detector, STILL_SCAN, STILL_TRACKS)
+    vehicle = TwoStageVehicle(None, detector, STILL_PARAMS)
     found = []
     for path in find_images(scenes / "test"):
         vehicle.reset()

@@ -11,7 +11,7 @@ from vehicle_detection.evaluation.metrics import evaluate
 from vehicle_detection.media.drawing import identity_color
 from vehicle_detection.media.mot import read_rows, rows_of_detections
 from vehicle_detection.media.videos import read_frames
-from vehicle_detection.parameters import STILL_SCAN, STILL_TRACKS, TrackParams
+from vehicle_detection.parameters import STILL_PARAMS, TrackParams, TwoStageParams
 from vehicle_detection.two_stage.model import save_detector
 from vehicle_detection.two_stage.refinement import Candidates
 from vehicle_detection.two_stage.vehicle import TwoStageVehicle
@@ -33,7 +33,7 @@ def frames(count, rows=180, columns=320):
 
 
 def test_boxes_are_whole_pixels_of_the_frame_with_identities_of_their_own(path):
-    vehicle = TwoStageVehicle(None, path, track_params=EAGER)
+    vehicle = TwoStageVehicle(None, path, params=TwoStageParams(tracks=EAGER))
     n_boxes = 0
     for frame in frames(12):
         detections = vehicle.detect(frame)
@@ -120,7 +120,7 @@ def test_lorries_and_what_the_border_cuts_do_not_tell_the_road(scripted):
 
 
 def test_reset_forgets(path):
-    vehicle = TwoStageVehicle(None, path, track_params=EAGER)
+    vehicle = TwoStageVehicle(None, path, params=TwoStageParams(tracks=EAGER))
     first = [vehicle.detect(frame) for frame in frames(8)]
     vehicle.reset()
     again = [vehicle.detect(frame) for frame in frames(8)]
@@ -139,7 +139,7 @@ def test_frames_of_two_sizes_are_refused(path):
 
 
 def test_pictures_show_the_vehicles(path):
-    vehicle = TwoStageVehicle(None, path, STILL_SCAN, TrackParams())
+    vehicle = TwoStageVehicle(None, path, replace(STILL_PARAMS, tracks=TrackParams()))
     (frame,) = frames(1)
     drawn = vehicle.process_image(frame)
     vehicle.reset()
@@ -164,7 +164,7 @@ def test_the_shipped_detector_follows_the_vehicles_of_the_shipped_clip():
 
 
 def test_the_shipped_detector_finds_vehicles_in_stills():
-    vehicle = TwoStageVehicle(None, ROOT / "param/detector.npz", STILL_SCAN, STILL_TRACKS)
+    vehicle = TwoStageVehicle(None, ROOT / "param/detector.npz", STILL_PARAMS)
     clip = islice(read_frames(ROOT / "videos/drive.mp4"), 0, 150, 30)
     truth = read_rows(ROOT / "videos/drive.gt.txt")
     numbers, found = range(1, 151, 30), []

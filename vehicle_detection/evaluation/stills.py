@@ -17,7 +17,7 @@ import numpy as np
 
 from vehicle_detection.media.images import find_images, read_image
 from vehicle_detection.media.mot import read_rows
-from vehicle_detection.parameters import STILL_SCAN, STILL_TRACKS
+from vehicle_detection.parameters import STILL_PARAMS
 from vehicle_detection.tracking.boxes import box_areas, pairwise_iou, pairwise_overlap
 from vehicle_detection.two_stage.vehicle import SHIPPED_DETECTOR, TwoStageVehicle
 
@@ -122,7 +122,7 @@ def figures_of(
 
 
 def score_folder(
-    folder: Path, vehicle: TwoStageVehicle, threshold: float = STILL_TRACKS.confirm_at
+    folder: Path, vehicle: TwoStageVehicle, threshold: float = STILL_PARAMS.tracks.confirm_at
 ) -> StillFigures:
     """Figures of a detector on a folder of stills.
 
@@ -185,7 +185,7 @@ def main() -> None:
     parser.add_argument("--param", type=Path, default=SHIPPED_DETECTOR, help="default: shipped")
     arguments = parser.parse_args()
     try:
-        vehicle = TwoStageVehicle(None, arguments.param, STILL_SCAN, STILL_TRACKS)
+        vehicle = TwoStageVehicle(None, arguments.param, STILL_PARAMS)
         print(table({folder.name: score_folder(folder, vehicle) for folder in arguments.folders}))
     except (OSError, ValueError) as error:
         sys.exit(f"error: {error}")

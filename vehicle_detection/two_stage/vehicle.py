@@ -9,7 +9,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from vehicle_detection.parameters import RoadParams, ScanParams, SelectionParams, TrackParams
+    pass
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,12 +18,7 @@ import numpy as np
 
 from vehicle_detection.media.drawing import draw_boxes, draw_rated, draw_vehicles
 from vehicle_detection.media.viewer import Viewer, require_same_size
-from vehicle_detection.parameters import (
-    DEFAULT_ROAD,
-    DEFAULT_SCAN,
-    DEFAULT_SELECTION,
-    DEFAULT_TRACKS,
-)
+from vehicle_detection.parameters import VIDEO_PARAMS, TwoStageParams
 from vehicle_detection.tracking.boxes import clip_to_frame, stack_boxes, touches_border
 from vehicle_detection.tracking.tracker import Tracker
 from vehicle_detection.two_stage.model import load_detector
@@ -79,10 +74,8 @@ class TwoStageVehicle(Viewer):
         Calibration file; None draws on the frame as it is.
     path_param : path or Detector
         File of `two_stage.training`, or what it holds.
-    scan : ScanParams
-    track_params : TrackParams
-    selection : SelectionParams
-    road_params : RoadParams
+    params : TwoStageParams
+        `VIDEO_PARAMS`, or `STILL_PARAMS` for pictures on their own.
     """
 
     titles = ("proposals", "refined, with scores", "accumulated scores", "vehicles")
@@ -91,16 +84,10 @@ class TwoStageVehicle(Viewer):
         self,
         path_calib: str | os.PathLike | None = None,
         path_param: Any = SHIPPED_DETECTOR,
-        scan: ScanParams = DEFAULT_SCAN,
-        track_params: TrackParams = DEFAULT_TRACKS,
-        selection: SelectionParams = DEFAULT_SELECTION,
-        road_params: RoadParams = DEFAULT_ROAD,
+        params: TwoStageParams = VIDEO_PARAMS,
     ):
         super().__init__(path_calib)
-        self.scan = scan
-        self.track_params = track_params
-        self.selection = selection
-        self.road_params = road_params
+        self.params = params
         self.load_param_detect(path_param)
 
     def load_param_detect(self, path: str | os.PathLike) -> None:
@@ -112,8 +99,8 @@ class TwoStageVehicle(Viewer):
         """Forget all frames: the next one begins another video."""
         self._frame_shape: tuple | None = None
         self._n_frames = 0
-        self._tracker = Tracker(self.track_params)
-        self._memory = RoadMemory(self.road_params)
+        self._tracker = Tracker(self.params.tracks)
+        self._memory = RoadMemory(self.params.road)
 
     def detect(self, rgb_frame: np.ndarray) -> Detections:
         """Search the next frame of the video.
@@ -135,9 +122,10 @@ class TwoStageVehicle(Viewer):
         require_same_size(rgb_frame, self._frame_shape)
         self._frame_shape = rgb_frame.shape
         levels = self._next_levels()
-        proposals, _ = propose(rgb_frame, levels, self.detector.templates, self.scan)
-        candidates = merge(self._predicted(), proposals, self.selection.same_iou)
-        candidates = refine(rgb_frame, candidates, self.detector, self.selection.discard_below)
+        proposals, _ = propose(rgb_frame, levels, self.detector.templates, self.params.scan)
+        candidates = merge(self._predicted(), proposals, self.params.selection.same_iou)
+        discard_below = self.params.selection.discard_below
+        candidates = refine(rgb_frame, candidates, self.detector, discard_below)
         candidates = self._select(candidates)
         tracks = self._tracker.update(candidates.boxes, candidates.scores, rgb_frame.shape[1])
         seen = stack_boxes([track.box for track in tracks if track and track.is_confirmed])
@@ -147,8 +135,8 @@ class TwoStageVehicle(Viewer):
     def _next_levels(self):
         """A group of levels in turn; all of them in the first frame."""
         rows, columns = self._frame_shape[:2]
-        scan = self.scan if self._n_frames else replace(self.scan, n_groups=1)
-        where = reach(self._memory.road(rows), rows, self.road_params)
+        scan = self.params.scan if self._n_frames else replace(self.params.scan, n_groups=1)
+        where = reach(self._memory.road(rows), rows, self.params.road)
         groups = level_groups((rows, columns), scan, where)
         self._n_frames += 1
         return groups[(self._n_frames - 1) % len(groups)]
@@ -156,39 +144,41 @@ class TwoStageVehicle(Viewer):
     def _predicted(self):
         """Predictions of the tracks, cut at the border of the frame like the truth."""
         boxes = clip_to_frame(self._tracker.predict(), self._frame_shape)
-        return boxes[are_plausible(boxes, self._frame_shape, self.scan, self.selection)]
+        return boxes[self._are_plausible(boxes)]
+
+    def _are_plausible(self, boxes):
+        return are_plausible(boxes, self._frame_shape, self.params.scan, self.params.selection)
 
     def _select(self, candidates):
         """The candidates of possible shape and place that are in conflict with no better one.
 
         Selected twice: what remains at first tells where the road is.
         """
-        boxes, n_rows = candidates.boxes, self._frame_shape[0]
-        possible = are_plausible(boxes, self._frame_shape, self.scan, self.selection)
-        candidates = candidates.only(possible)
+        n_rows = self._frame_shape[0]
+        candidates = candidates.only(self._are_plausible(candidates.boxes))
         first = self._suppress(self._penalise(candidates, self._memory.road(n_rows)))
         whole = first.only(self._are_whole_cars(first.boxes))
-        weights = np.clip(whole.scores - self.road_params.witness_from, 0, 1)
+        weights = np.clip(whole.scores - self.params.road.witness_from, 0, 1)
         road = self._memory.road(n_rows, whole.boxes, weights)
         return self._suppress(self._penalise(candidates, road))
 
     def _penalise(self, candidates, road):
         """Candidates that lose score where no vehicle can stand."""
-        boxes, params = candidates.boxes, self.road_params
+        boxes, params = candidates.boxes, self.params.road
         # A vehicle that the lower border cuts stands lower than it seems to.
-        at_border = touches_border(boxes, self._frame_shape, self.selection.at_border)
+        at_border = touches_border(boxes, self._frame_shape, self.params.selection.at_border)
         cost = params.cost * ~at_border[:, 3] * misplacement(boxes, road, params) ** 2 / 2
         return replace(candidates, scores=candidates.scores - cost)
 
     def _suppress(self, candidates):
-        rank = candidates.scores + self.selection.track_bonus * candidates.is_tracked
-        return candidates.only(non_max_suppression(candidates.boxes, rank, self.selection))
+        rank = candidates.scores + self.params.selection.track_bonus * candidates.is_tracked
+        return candidates.only(non_max_suppression(candidates.boxes, rank, self.params.selection))
 
     def _are_whole_cars(self, boxes):
         """Which boxes tell where the road is."""
         width, height = (boxes[:, 2:] - boxes[:, :2]).T
-        at_border = touches_border(boxes, self._frame_shape, self.selection.at_border)
-        return ~at_border.any(axis=1) & (width > self.selection.whole_car_aspect * height)
+        at_border = touches_border(boxes, self._frame_shape, self.params.selection.at_border)
+        return ~at_border.any(axis=1) & (width > self.params.selection.whole_car_aspect * height)
 
     def _detections(self, proposals, candidates, tracks):
         """Vehicles are the confirmed tracks, with a box in this frame or without."""
@@ -215,7 +205,7 @@ class TwoStageVehicle(Viewer):
         """
         candidates, scores = detections.candidates, detections.track_scores
         tracked = scores > 0
-        confirm_at = self.track_params.confirm_at
+        confirm_at = self.params.tracks.confirm_at
         pictures = [
             draw_boxes(rgb_frame, detections.proposals, thickness=2),
             draw_rated(rgb_frame, candidates, detections.candidate_scores, 0),
