@@ -18,10 +18,10 @@ from vehicle_detection.two_stage.features import (
 from vehicle_detection.two_stage.refinement import merge, move_edges, refine
 
 
-def refined(img, boxes, detector):
+def refined(img, boxes, detector, discard_below=-1.0):
     """Boxes and scores of `refine`."""
     none = np.empty((0, 4))
-    candidates = refine(img, merge(none, boxes, 0.6), detector, discard_below=-1.0)
+    candidates = refine(img, merge(none, boxes, 0.6), detector, discard_below)
     return candidates.boxes, candidates.scores
 
 
@@ -54,10 +54,11 @@ def test_the_closer_look_scores_where_it_moved_the_box():
     none, no_scores = refined(img, np.empty((0, 4)), detector)
     assert none.shape == (0, 4) and no_scores.shape == (0,)
     boxes = random_boxes(np.random.default_rng(0), 5)
-    moved, scores = refined(img, boxes, detector)
+    moved, scores = refined(img, boxes, detector, discard_below=-np.inf)
     for box, own_box, score in zip(on_whole_pixels(boxes), moved, scores, strict=True):
         shift = detector.regressor.predict(described(box, regressor_features))
-        np.testing.assert_allclose(on_whole_pixels(move_edges(box[None], shift))[0], own_box)
+        moved_box = on_whole_pixels(move_edges(box[None], shift))[0]
+        np.testing.assert_allclose(moved_box, own_box)
         alone = detector.scorer.predict(described(own_box, scorer_features))
         assert score == pytest.approx(alone[0, 0], abs=1e-4)
 
