@@ -6,7 +6,7 @@ lies by half of its own area in one is neither right nor wrong.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from vehicle_detection.media.mot import Rows
@@ -197,7 +197,7 @@ def _entry_delays(required, found):
 
 
 def precision_recall(
-    truth: Rows, detections: Any, iou_threshold: float = 0.5, steps: int = 40
+    truth: Rows, detections: Rows, iou_threshold: float = 0.5, steps: int = 40
 ) -> tuple:
     """Precision and recall over the threshold on the score.
 

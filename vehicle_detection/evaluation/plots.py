@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
@@ -40,7 +40,7 @@ def _number(value):
 
 
 def draw_evaluation(
-    truth: Rows, detections: Any, frames: range, iou_threshold: float = 0.5
+    truth: Rows, detections: Rows, frames: range, iou_threshold: float = 0.5
 ) -> Figure:
     """Figure with the precision-recall curve and a timeline of errors over a range of frames.
 

@@ -40,7 +40,7 @@ class Rows:
     scores: np.ndarray
     visibility: np.ndarray
 
-    def only(self, chosen: np.ndarray) -> Any:
+    def only(self, chosen: np.ndarray) -> Rows:
         """The rows that a mask or index array picks."""
         return Rows(**{name: values[chosen] for name, values in vars(self).items()})
 
@@ -66,7 +66,7 @@ def frame_range(text: str) -> range:
     return frames
 
 
-def all_frames(truth: Rows, detections: Any) -> range:
+def all_frames(truth: Rows, detections: Rows) -> range:
     """Range from 1 to the last frame of both, one frame at least."""
     last = max(truth.frames.max(initial=1), detections.frames.max(initial=1))
     return range(1, int(last) + 1)

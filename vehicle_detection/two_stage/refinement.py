@@ -44,7 +44,7 @@ class Candidates:
     scores: np.ndarray
     is_tracked: np.ndarray
 
-    def only(self, chosen: np.ndarray) -> Any:
+    def only(self, chosen: np.ndarray) -> Candidates:
         """The candidates that a mask or index array picks."""
         return Candidates(*(getattr(self, field.name)[chosen] for field in fields(self)))
 

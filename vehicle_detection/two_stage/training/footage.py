@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from vehicle_detection.parameters import TrainingParams
@@ -41,7 +41,7 @@ class Example:
     required: np.ndarray
     visibility: np.ndarray
 
-    def read(self) -> Any:
+    def read(self) -> np.ndarray:
         """The frame, RGB."""
         return read_image(self.source) if isinstance(self.source, Path) else self.source
 
@@ -85,7 +85,7 @@ class Footage:
     truth: str | os.PathLike
     frames: str = "1:1000000"
 
-    def read(self) -> Any:
+    def read(self) -> list:
         """Its frames as a list of Example, see `read_footage`."""
         return read_footage(self.path, self.truth, self.frames)
 
