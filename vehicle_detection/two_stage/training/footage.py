@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 import csv
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class Example:
         the frame's side cuts teaches how vehicles enter, before they are required.
     """
 
-    source: object
+    source: Any
     boxes: np.ndarray
     required: np.ndarray
     visibility: np.ndarray
