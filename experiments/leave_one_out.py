@@ -153,7 +153,7 @@ def report(results):
         columns = list(next(iter(videos.values())))
         lines += [f"| video | {' | '.join(columns)} |", "|---" * (1 + len(columns)) + "|"]
         lines += [
-            f"| {name} | {' | '.join(f'{one[c]:.3f}' for c in columns)} |"
+            f"| {name} | {' | '.join('-' if one[c] is None else f'{one[c]:.3f}' for c in columns)} |"
             for name, one in videos.items()
         ]
     return "\n".join([*lines, "", f"mean AP over cameras: {mean_over_cameras(stills):.3f}"])
