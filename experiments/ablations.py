@@ -68,15 +68,10 @@ VARIANTS = {
     "none": VIDEO_PARAMS,
     "no road (cost 0)": TwoStageParams(road=replace(DEFAULT_ROAD, cost=0)),
     "parts of better boxes stay (max_covered 1)": selection(max_covered=1),
-    "what is in front of a larger box goes (in_front)": selection(in_front=NEVER),
     "no bonus for predicted boxes (track_bonus 0)": selection(track_bonus=0),
-    "any growth (max_growth)": tracks(max_growth=NEVER),
-    "full velocity when missed (kept_velocity 1)": tracks(kept_velocity=1),
-    "no velocity when missed (kept_velocity 0)": tracks(kept_velocity=0),
     "no offset of scores (score_offset 0)": tracks(score_offset=0),
     "confirmed at once (confirm_at 0)": tracks(confirm_at=0),
     "lost tracks are forgotten (max_missed 0)": tracks(max_missed=0),
-    "nothing leaves at the side (at_side)": tracks(at_side=-NEVER),
 }
 
 

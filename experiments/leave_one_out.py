@@ -152,10 +152,9 @@ def report(results):
     if videos:
         columns = list(next(iter(videos.values())))
         lines += [f"| video | {' | '.join(columns)} |", "|---" * (1 + len(columns)) + "|"]
-        lines += [
-            f"| {name} | {' | '.join('-' if one[c] is None else f'{one[c]:.3f}' for c in columns)} |"
-            for name, one in videos.items()
-        ]
+        for name, one in videos.items():
+            values = ["-" if one[c] is None else f"{one[c]:.3f}" for c in columns]
+            lines.append(f"| {name} | {' | '.join(values)} |")
     return "\n".join([*lines, "", f"mean AP over cameras: {mean_over_cameras(stills):.3f}"])
 
 

@@ -285,9 +285,6 @@ class SelectionParams:
     max_iou, max_covered : float
         Two boxes are in conflict if their IoU, or the covered share of the smaller one, is
         above these. Vehicles that are both seen overlap less.
-    in_front : float
-        A smaller box that ends lower by this share of its height stands in front, and may be
-        covered by a larger one.
     track_bonus : float
         Added to the score of a predicted box where it is in conflict with a proposed one.
     score_step : float
@@ -309,7 +306,6 @@ class SelectionParams:
     discard_below: float = -1.0
     max_iou: float = 0.45
     max_covered: float = 0.7
-    in_front: float = 0.1
     track_bonus: float = 0.5
     score_step: float = 1e-3
     min_visible: float = 0.6
@@ -384,19 +380,11 @@ class TrackParams:
     ----------
     min_iou : float
         Least IoU of a box with the prediction of its track, between 0 and 1.
-    max_growth : float
-        A box that is so many times higher or lower than the prediction is not the track's but
-        that of what hides it. Its square holds where a lost vehicle comes out again.
     max_missed : int
         Frames that a known vehicle without a box is remembered: three seconds at 25 a second.
     measurement_noise, process_noise : float
         Standard deviations, in heights of the vehicle: of the edges of a box whose score is 1
         or more, and of the change of their velocity from frame to frame.
-    kept_velocity : float
-        Share of its velocity that a track without a box keeps from frame to frame: what its
-        box did last was mostly to shrink behind what hides it.
-    at_side : float
-        A track ends at the frame's side if it does within this share of its width.
     confirm_at : float
         Accumulated score that makes a track a vehicle.
     max_score : float
@@ -409,12 +397,9 @@ class TrackParams:
     """
 
     min_iou: float = 0.2
-    max_growth: float = float("inf")
     max_missed: int = 50
     measurement_noise: float = 0.1
     process_noise: float = 0.01
-    kept_velocity: float = 1.0
-    at_side: float = 1 / 8
     confirm_at: float = 0.0
     max_score: float = 1.0
     score_offset: float = 0.0
@@ -423,14 +408,10 @@ class TrackParams:
     def __post_init__(self):
         if not 0 < self.min_iou < 1:
             raise ValueError(f"min_iou lies between 0 and 1, not at {self.min_iou}")
-        if self.max_growth <= 1:
-            raise ValueError("max_growth is above 1")
         if self.max_missed < 0:
             raise ValueError("max_missed starts at 0")
         if min(self.measurement_noise, self.process_noise) <= 0:
             raise ValueError("noise is above 0")
-        if not 0 <= self.kept_velocity <= 1:
-            raise ValueError(f"kept_velocity lies between 0 and 1, not at {self.kept_velocity}")
         if not 0 <= self.confirm_at <= self.max_score:
             raise ValueError(f"confirm_at {self.confirm_at} lies outside 0..{self.max_score}")
         if self.miss_penalty <= 0 or self.score_offset < 0:
@@ -440,9 +421,8 @@ class TrackParams:
 # Boxes from heat have lasted already: one is enough.
 HEAT_TRACKS = TrackParams()
 DEFAULT_TRACKS = TrackParams(
-    min_iou=0.2, max_growth=1.4, max_missed=75, measurement_noise=0.1, process_noise=0.01,
-    kept_velocity=0.8, confirm_at=2.0, max_score=8.0, score_offset=0.35, miss_penalty=0.9,
-)  # fmt: skip
+    max_missed=75, confirm_at=2.0, max_score=8.0, score_offset=0.5, miss_penalty=0.9
+)
 
 
 @dataclass(frozen=True)

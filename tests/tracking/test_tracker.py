@@ -58,40 +58,6 @@ def test_a_vehicle_out_of_sight_is_known_again_where_its_speed_takes_it():
     assert pairwise_iou(boxes(box_at(350)), boxes(box_at(195)))[0, 0] == 0
 
 
-def test_a_vehicle_that_was_hidden_is_known_again_though_its_box_shrank():
-    # A car that overtakes covers it from the left: less and less looks like a vehicle.
-    seen = [(box_at(100), 1.0)] * 20
-    seen += [(np.array([100 + 6 * i, 100, 160, 140]), 0.8 - 0.2 * i) for i in range(8)]
-
-    def identity_after(kept_velocity):
-        """Of a box where it was, forty frames later."""
-        tracker = Tracker(TrackParams(max_missed=50, kept_velocity=kept_velocity))
-        for box, score in seen:
-            tracker.predict()
-            tracker.update(boxes(box), np.array([score]))
-        for _ in range(40):
-            step(tracker, boxes())
-        return step(tracker, boxes(box_at(100)))
-
-    assert identity_after(kept_velocity=0.8) == [1]
-    assert identity_after(kept_velocity=1.0) == [2]
-
-
-def test_what_hides_a_vehicle_does_not_take_its_identity():
-    # The one in front is twice as high, and its box covers half of the other's.
-    hidden, nearer = np.array([100, 100, 160, 140]), np.array([80, 95, 170, 175])
-
-    def identity_of_the_nearer(max_growth):
-        tracker = Tracker(TrackParams(max_growth=max_growth))
-        for _ in range(10):
-            step(tracker, boxes(hidden))
-        return step(tracker, boxes(nearer))
-
-    assert pairwise_iou(boxes(hidden), boxes(nearer))[0, 0] > 0.2
-    assert identity_of_the_nearer(max_growth=1.4) == [2]
-    assert identity_of_the_nearer(max_growth=np.inf) == [1]
-
-
 def test_gaps_are_bridged_while_there_is_evidence():
     tracker = Tracker(TrackParams(max_score=8, miss_penalty=1.5))
     for i in range(10):
@@ -138,17 +104,6 @@ def identities_of(tracker, rows, score):
     return [track.identity for track in tracks if track]
 
 
-def test_a_vehicle_that_is_framed_otherwise_is_the_same():
-    tracker = Tracker(TrackParams(max_growth=1.4, **EVIDENCE))
-    assert identities_of(tracker, [box_at(100)] * 10, 1.0) == [1]
-    framed = box_at(100, y=80, height=70)
-    assert identities_of(tracker, [framed] * 2, 1.5) == [0]
-    assert [track.identity for track in tracker.coasting_tracks()] == [1]
-    assert identities_of(tracker, [framed], 1.5) == [1]
-    # The track before is gone: it would otherwise be shown beside.
-    assert tracker.coasting_tracks() == []
-
-
 def test_a_gap_of_one_vehicle_does_not_give_its_identity_to_the_next():
     tracker = Tracker(TrackParams(**EVIDENCE))
     assert identities_of(tracker, [box_at(100)] * 20, 1.0) == [1]
@@ -174,41 +129,6 @@ def test_time_out_of_sight_starts_anew_with_every_box():
         assert step(tracker, boxes(box_at(100))) == [1]
         for _ in range(8):
             step(tracker, boxes())
-
-
-@pytest.mark.parametrize(("left", "identity"), [(0, 2), (200, 1), (400, 2)])
-def test_what_leaves_at_the_side_does_not_come_back(left, identity):
-    tracker = Tracker(TrackParams(max_missed=50))
-
-    def identities(of_frame):
-        tracker.predict()
-        tracks = tracker.update(of_frame, np.ones(len(of_frame)), n_columns=460)
-        return [track.identity for track in tracks]
-
-    for _ in range(3):
-        assert identities(boxes(box_at(left))) == [1]
-    for _ in range(5):
-        assert identities(boxes()) == []
-    assert identities(boxes(box_at(left))) == [identity]
-
-
-@pytest.mark.parametrize("at_left", [True, False])
-@pytest.mark.parametrize(("growth", "identity"), [(4, 1), (-4, 2)])
-def test_what_was_coming_in_at_the_side_has_not_left(at_left, growth, identity):
-    tracker = Tracker(TrackParams(max_missed=50, kept_velocity=0.8))
-
-    def identities(of_frame):
-        tracker.predict()
-        tracks = tracker.update(of_frame, np.ones(len(of_frame)), n_columns=460)
-        return [track.identity for track in tracks]
-
-    for n in range(8):
-        width = 60 + growth * n
-        box = box_at(0 if at_left else 460 - width, width=width)
-        assert identities(boxes(box)) == [1]
-    for _ in range(5):
-        assert identities(boxes()) == []
-    assert identities(boxes(box)) == [identity]
 
 
 def test_a_box_elsewhere_is_another_vehicle():
@@ -329,8 +249,6 @@ def test_predicted_are_tracks_that_had_a_box_and_known_vehicles():
         {"confirm_at": 2, "max_score": 1},
         {"miss_penalty": 0},
         {"score_offset": -0.1},
-        {"kept_velocity": 1.1},
-        {"max_growth": 1},
     ],
 )
 def test_track_params_refuse(wrong):

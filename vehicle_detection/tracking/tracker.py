@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from vehicle_detection.tracking.boxes import box_heights, pairwise_iou, stack_boxes
+from vehicle_detection.tracking.boxes import pairwise_iou, stack_boxes
 
 
 class Track:
@@ -59,29 +59,11 @@ class Track:
             noise = np.exp(max(0.0, 1 - score)) * self._measurement_noise
             self._filter.measurementNoiseCov = noise
             self.box = self._filter.correct(np.asarray(box, float)[:, None])[:4, 0].copy()
-        else:
-            self._slow_down()
         self._accumulate(score - self._params.score_offset)
 
     def miss(self) -> None:
         """There is no box in this frame."""
-        self._slow_down()
         self._accumulate(-self._params.miss_penalty)
-
-    def is_leaving(self, n_columns: Any) -> bool:
-        """Whether it touches the left or right border and does not move into the frame."""
-        left, _, right, _ = self.box
-        left_speed, _, right_speed, _ = self._filter.statePost[4:, 0]
-        near = self._params.at_side * (right - left)
-        # At a border the edge of the box is that of the frame: the other one tells the motion.
-        at_left = left < near and right_speed <= 0
-        at_right = right > n_columns - near and left_speed >= 0
-        return at_left or at_right
-
-    def _slow_down(self):
-        state = self._filter.statePost.copy()
-        state[4:] *= self._params.kept_velocity
-        self._filter.statePost = state
 
     def _accumulate(self, score):
         self.score = min(self.score + score, self._params.max_score)
@@ -132,7 +114,7 @@ class Tracker:
             track.predict()
         return stack_boxes([t.box for t in self._tracks if t.identity or t.n_missed == 1])
 
-    def update(self, boxes: np.ndarray, scores: np.ndarray, n_columns: int | None = None) -> list:
+    def update(self, boxes: np.ndarray, scores: np.ndarray) -> list:
         """Give the boxes of this frame to the tracks.
 
         Parameters
@@ -140,8 +122,6 @@ class Tracker:
         boxes : ndarray, shape (n, 4)
         scores : ndarray, shape (n,)
             Positive for vehicles.
-        n_columns : int, optional
-            Of the frame. A lost track that was leaving at its side is removed.
 
         Returns
         -------
@@ -149,7 +129,9 @@ class Tracker:
             The track of each box, each at most once; None for a box that belongs to no track
             and starts none, because its score is not positive.
         """
-        owners = self._assign(boxes)
+        # Lost tracks do not take part: anything may lie where they are expected.
+        active = [track for track in self._tracks if track.is_confirmed or not track.identity]
+        owners = self._assign(boxes, active)
         for i, (box, score) in enumerate(zip(boxes, scores, strict=True)):
             if owners[i] is not None:
                 owners[i].correct(box, score)
@@ -160,53 +142,38 @@ class Tracker:
             if track.n_missed:
                 track.miss()
         self._identify([t for t in self._tracks if t.is_confirmed and not t.identity])
-        self._tracks = [t for t in self._tracks if self._is_kept(t, n_columns)]
+        self._tracks = [t for t in self._tracks if self._is_kept(t)]
         return owners
 
     def coasting_tracks(self) -> list:
         """Confirmed tracks that have no box in this frame."""
         return [track for track in self._tracks if track.is_confirmed and track.n_missed]
 
-    def _assign(self, boxes):
-        """The track of every box, or None: all together so that the overlap is largest.
-
-        Lost tracks do not take part: anything may lie where they are expected.
-        """
+    def _assign(self, boxes, tracks):
+        """The track of every box, or None: all together so that the sum of IoU is largest."""
         owners = [None] * len(boxes)
-        tracks = [track for track in self._tracks if track.is_confirmed or not track.identity]
-        for row, column in self._matches(boxes, tracks, self.params.max_growth):
-            owners[row] = tracks[column]
+        expected = stack_boxes([track.box for track in tracks])
+        iou = pairwise_iou(boxes, expected)
+        iou[iou < self.params.min_iou] = 0
+        for row, column in zip(*linear_sum_assignment(iou, maximize=True), strict=True):
+            if iou[row, column] > 0:
+                owners[row] = tracks[column]
         return owners
 
     def _identify(self, confirmed):
         """Give new vehicles the identity of a track without a box that fits, or a new one."""
         missing = [track for track in self._tracks if track.identity and track.n_missed]
-        boxes = stack_boxes([track.box for track in confirmed])
-        # At first, little can be seen of a vehicle that comes out again.
-        for row, column in self._matches(boxes, missing, self.params.max_growth**2):
-            confirmed[row].identity = missing[column].identity
-            self._tracks.remove(missing[column])
-        for track in confirmed:
-            if not track.identity:
+        known = self._assign(stack_boxes([track.box for track in confirmed]), missing)
+        for track, before in zip(confirmed, known, strict=True):
+            if before is not None:
+                track.identity = before.identity
+                self._tracks.remove(before)
+            else:
                 self._n_identities += 1
                 track.identity = self._n_identities
 
-    def _matches(self, boxes, tracks, max_growth):
-        """Pairs (box, track) of the assignment with the largest sum of IoU."""
-        if not len(boxes) or not tracks:
-            return []
-        expected = stack_boxes([track.box for track in tracks])
-        growth = box_heights(boxes)[:, None] / np.maximum(box_heights(expected), 1e-9)
-        alike = np.maximum(growth, 1 / np.maximum(growth, 1e-9)) <= max_growth
-        iou = pairwise_iou(boxes, expected)
-        gain = np.where(alike & (iou >= self.params.min_iou), iou, 0)
-        pairs = zip(*linear_sum_assignment(gain, maximize=True), strict=True)
-        return [(row, column) for row, column in pairs if gain[row, column] > 0]
-
-    def _is_kept(self, track, n_columns):
+    def _is_kept(self, track):
         """A tentative track must keep a positive score; a lost one may come back for a while."""
-        if not track.identity:
-            return track.score > 0
-        if not track.is_confirmed and n_columns is not None and track.is_leaving(n_columns):
-            return False
-        return track.n_missed <= self.params.max_missed
+        if track.identity:
+            return track.n_missed <= self.params.max_missed
+        return track.score > 0

@@ -11,7 +11,6 @@ import numpy as np
 
 from vehicle_detection.tracking.boxes import (
     box_areas,
-    box_heights,
     clip_to_frame,
     pairwise_overlap,
 )
@@ -21,9 +20,7 @@ def overlap_conflicts(boxes: np.ndarray, params: SelectionParams) -> np.ndarray:
     """Which boxes cannot frame two vehicles that are both seen.
 
     Two boxes are in conflict if their IoU is above `params.max_iou`, or if more than
-    `params.max_covered` of the smaller one lies within the larger one. The latter is allowed
-    where the smaller one ends lower by more than `params.in_front` of its height: it then
-    stands nearer, in front of the larger one.
+    `params.max_covered` of the smaller one lies within the larger one: it is then a part.
 
     Parameters
     ----------
@@ -34,15 +31,9 @@ def overlap_conflicts(boxes: np.ndarray, params: SelectionParams) -> np.ndarray:
     -------
     conflicts : ndarray of bool, shape (n, n)
     """
-    areas, heights, bottom = box_areas(boxes), box_heights(boxes), boxes[:, 3]
-    common = pairwise_overlap(boxes, boxes)
-    is_smaller = areas[:, None] < areas
-    below = bottom[:, None] - bottom
-    ends_lower = np.where(is_smaller, below, -below)
-    in_front = ends_lower > params.in_front * np.where(is_smaller, heights[:, None], heights)
+    areas, common = box_areas(boxes), pairwise_overlap(boxes, boxes)
     covered = common > params.max_covered * np.minimum(areas[:, None], areas)
-    union = areas[:, None] + areas - common
-    return (covered & ~in_front) | (common > params.max_iou * union)
+    return covered | (common > params.max_iou * (areas[:, None] + areas - common))
 
 
 def non_max_suppression(

@@ -127,7 +127,7 @@ class TwoStageVehicle(Viewer):
         discard_below = self.params.selection.discard_below
         candidates = refine(rgb_frame, candidates, self.detector, discard_below)
         candidates = self._select(candidates)
-        tracks = self._tracker.update(candidates.boxes, candidates.scores, rgb_frame.shape[1])
+        tracks = self._tracker.update(candidates.boxes, candidates.scores)
         seen = stack_boxes([track.box for track in tracks if track and track.is_confirmed])
         self._memory.learn(seen[self._are_whole_cars(seen)])
         return self._detections(proposals, candidates, tracks)
