@@ -7,15 +7,11 @@ python detect.py drive.mp4 --method G    the write-up's pipeline
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from vehicle_detection.parameters import SearchParams
-
 import argparse
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from vehicle_detection.parameters import (
     FILTER_PRESETS,
@@ -24,6 +20,9 @@ from vehicle_detection.parameters import (
     STILL_PARAMS,
     VIDEO_PARAMS,
 )
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import SearchParams
 
 ROOT = Path(__file__).parent
 SHIPPED_PARAMS = {

@@ -9,14 +9,10 @@ boxes travel as int arrays of shape (n, 4).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from vehicle_detection.parameters import FeatureParams, SearchParams
-
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -27,6 +23,9 @@ from vehicle_detection.compiled.hog import hog_blocks
 from vehicle_detection.compiled.threads import side_by_side
 from vehicle_detection.media.drawing import draw_boxes
 from vehicle_detection.parameters import require_color
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import FeatureParams, SearchParams
 
 _CONVERSIONS = {
     "YCrCb": cv2.COLOR_RGB2YCrCb,

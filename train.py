@@ -6,16 +6,11 @@ python train.py path/to/folder       with vehicles/ and non-vehicles/ in it
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from vehicle_detection.media.training_images import TrainingImages
-    from vehicle_detection.parameters import FeatureParams
-
 import argparse
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from sklearn.metrics import accuracy_score, confusion_matrix
@@ -28,6 +23,10 @@ from pipeline_functions import extract_features
 from vehicle_detection.classifier import Classifier, save_classifier
 from vehicle_detection.media.training_images import HELD_OUT, hold_out_ends, load_training_set
 from vehicle_detection.parameters import FEATURE_PRESETS
+
+if TYPE_CHECKING:
+    from vehicle_detection.media.training_images import TrainingImages
+    from vehicle_detection.parameters import FeatureParams
 
 DATA, SAMPLE = Path("data"), Path("output/sample")
 

@@ -8,14 +8,10 @@ hot windows -> heat -> heat of the last frames -> threshold -> labels -> boxes
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from vehicle_detection.parameters import FilterParams, SearchParams
-
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.ndimage import label
@@ -35,6 +31,9 @@ from vehicle_detection.media.drawing import draw_boxes, draw_heat, draw_vehicles
 from vehicle_detection.media.viewer import Viewer, require_same_size
 from vehicle_detection.parameters import FILTER_PRESETS, HEAT_TRACKS, SEARCH_PRESETS
 from vehicle_detection.tracking.tracker import Tracker
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import FilterParams, SearchParams
 
 SHIPPED_CLASSIFIER = Path(__file__).parent / "param/svc_pickle.p"
 # Hot windows on one place that the pictures of heat show at their brightest.

@@ -6,13 +6,9 @@ window, which see the pixels beyond it.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from vehicle_detection.parameters import FeatureParams
-
 from dataclasses import dataclass
 from math import gcd, prod
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -20,6 +16,9 @@ from numpy.lib.stride_tricks import as_strided
 
 from vehicle_detection.compiled.hog import hog_blocks
 from vehicle_detection.compiled.window_sums import correlate, tile_histograms
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import FeatureParams
 
 
 def window_counts(shape: tuple, window_size: int, step: int) -> tuple:

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from vehicle_detection.media.mot import Rows
-
 import motmetrics
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from vehicle_detection.media.mot import all_frames
 from vehicle_detection.tracking.boxes import pairwise_iou, pairwise_overlap
+
+if TYPE_CHECKING:
+    from vehicle_detection.media.mot import Rows
 
 HEIGHT_EDGES = (30, 40, 60, 100, np.inf)
 # A vehicle that comes back after this many frames has to be found anew.

@@ -6,19 +6,18 @@ import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from matplotlib.figure import Figure
-
-if TYPE_CHECKING:
-    from vehicle_detection.media.mot import Rows
-    from vehicle_detection.media.viewer import Viewer
-
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 from vehicle_detection.evaluation.metrics import errors_by_frame, precision_recall
 from vehicle_detection.media.drawing import WHITE, draw_boxes, draw_vehicles
 from vehicle_detection.media.figures import crop_to_road, show
 from vehicle_detection.media.videos import read_frames
+
+if TYPE_CHECKING:
+    from vehicle_detection.media.mot import Rows
+    from vehicle_detection.media.viewer import Viewer
 
 
 def table(figures: dict) -> str:

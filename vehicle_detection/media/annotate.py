@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from vehicle_detection.media.viewer import Viewer
-
-from contextlib import ExitStack, contextmanager
-
 from tqdm.auto import tqdm
 
 from vehicle_detection.media.files import write_whole
@@ -25,6 +20,9 @@ from vehicle_detection.media.videos import (
     video_info,
     video_writer,
 )
+
+if TYPE_CHECKING:
+    from vehicle_detection.media.viewer import Viewer
 
 
 def write_rows(path: str | os.PathLike, rows: list) -> None:

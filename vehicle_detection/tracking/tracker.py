@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from vehicle_detection.parameters import TrackParams
-
 import cv2
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from vehicle_detection.tracking.boxes import pairwise_iou, stack_boxes
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import TrackParams
 
 
 class Track:

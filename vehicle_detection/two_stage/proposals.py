@@ -8,14 +8,9 @@ mean colour. Windows are 8 cells high and of four widths.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from vehicle_detection.parameters import ScanParams
-    from vehicle_detection.two_stage.road import Reach
-
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -29,6 +24,10 @@ from vehicle_detection.two_stage.features import (
     cell_lengths,
     normalise_cells,
 )
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import ScanParams
+    from vehicle_detection.two_stage.road import Reach
 
 # Windows in cells: lorries are higher than wide, cars from the side twice as wide as high.
 WINDOW_ROWS = 8

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from vehicle_detection.two_stage.model import Detector
-
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
@@ -23,6 +19,9 @@ from vehicle_detection.two_stage.features import (
     regressor_features,
     scorer_features,
 )
+
+if TYPE_CHECKING:
+    from vehicle_detection.two_stage.model import Detector
 
 _LIBRARIES = ThreadpoolController()
 

@@ -14,16 +14,15 @@ References
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from vehicle_detection.parameters import RoadParams
-
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vehicle_detection.tracking.boxes import box_heights
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import RoadParams
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from vehicle_detection.parameters import ScanParams, SelectionParams
-
 import numpy as np
 
 from vehicle_detection.tracking.boxes import (
@@ -14,6 +11,9 @@ from vehicle_detection.tracking.boxes import (
     clip_to_frame,
     pairwise_overlap,
 )
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import ScanParams, SelectionParams
 
 
 def overlap_conflicts(boxes: np.ndarray, params: SelectionParams) -> np.ndarray:

@@ -6,13 +6,9 @@ predictions of tracks, proposals -> refinement -> selection -> tracks -> vehicle
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    pass
-
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +22,9 @@ from vehicle_detection.two_stage.proposals import level_groups, propose
 from vehicle_detection.two_stage.refinement import merge, refine
 from vehicle_detection.two_stage.road import RoadMemory, misplacement, reach
 from vehicle_detection.two_stage.selection import are_plausible, non_max_suppression
+
+if TYPE_CHECKING:
+    pass
 
 SHIPPED_DETECTOR = Path(__file__).parents[2] / "param/detector.npz"
 

@@ -8,15 +8,11 @@ footage -> windows -> first stage -> hard negatives -> proposals -> regressor ->
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from vehicle_detection.parameters import TrainingParams
-
 import argparse
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from vehicle_detection.parameters import DEFAULT_TRAINING, QUICK_TRAINING
 from vehicle_detection.two_stage.model import Detector, save_detector
@@ -30,6 +26,9 @@ from vehicle_detection.two_stage.training.footage import (
     read_cameras,
 )
 from vehicle_detection.two_stage.training.second_stage import train_regressor, train_scorer
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import TrainingParams
 
 
 def add_source_options(parser: argparse.ArgumentParser) -> None:

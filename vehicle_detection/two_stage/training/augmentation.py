@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from vehicle_detection.parameters import AugmentationParams
-    from vehicle_detection.two_stage.training.footage import Example
-
 import cv2
 import numpy as np
 
 from vehicle_detection.media.training_images import read_window
 from vehicle_detection.parameters import DEFAULT_AUGMENTATION
 from vehicle_detection.tracking.boxes import box_areas, clip_to_frame
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import AugmentationParams
+    from vehicle_detection.two_stage.training.footage import Example
 
 _IDENTITY_CURVE = np.linspace(0, 1, 256)
 

@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from vehicle_detection.parameters import TrainingParams
-    from vehicle_detection.two_stage.road import Reach
-    from vehicle_detection.two_stage.training.footage import TrainingSet
-
 from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -39,6 +33,11 @@ from vehicle_detection.two_stage.training.sampling import (
     is_background,
     jittered,
 )
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import TrainingParams
+    from vehicle_detection.two_stage.road import Reach
+    from vehicle_detection.two_stage.training.footage import TrainingSet
 
 # Hard negatives: the best windows of each scale.
 MINING_SCAN = ScanParams(cells_per_step=1, n_groups=1, n_proposals=3, overlap=0.6)

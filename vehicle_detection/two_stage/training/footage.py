@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
+import csv
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from vehicle_detection.parameters import TrainingParams
-
-import csv
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vehicle_detection.media.images import find_images, read_image
 from vehicle_detection.media.mot import frame_range, read_rows
 from vehicle_detection.media.videos import VIDEO_SUFFIXES, read_frames
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import TrainingParams
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from vehicle_detection.parameters import TrainingParams
-
 import numpy as np
 from sklearn.cluster import KMeans
 from sklearn.decomposition import PCA
@@ -17,6 +14,9 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 
 from vehicle_detection.two_stage.model import KernelMachine
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import TrainingParams
 
 
 def fit_components(features: np.ndarray, n_components: int, rng: np.random.Generator) -> tuple:

@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from vehicle_detection.parameters import TrainingParams
-    from vehicle_detection.two_stage.model import KernelMachine
-    from vehicle_detection.two_stage.training.footage import TrainingSet
-
 from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tqdm.auto import tqdm
@@ -41,6 +35,11 @@ from vehicle_detection.two_stage.training.sampling import (
     random_parts,
     with_moved_edges,
 )
+
+if TYPE_CHECKING:
+    from vehicle_detection.parameters import TrainingParams
+    from vehicle_detection.two_stage.model import KernelMachine
+    from vehicle_detection.two_stage.training.footage import TrainingSet
 
 CANDIDATE_SCAN = ScanParams(
     threshold=-1.0, cells_per_step=1, n_groups=1, n_proposals=4, overlap=0.6
