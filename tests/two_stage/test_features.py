@@ -14,6 +14,7 @@ from vehicle_detection.compiled.hog import cell_histograms
 from vehicle_detection.two_stage.features import (
     CELL_FEATURES,
     CHROMA_FEATURES,
+    N_BORDERS,
     N_REGRESSOR_FEATURES,
     N_SCORER_FEATURES,
     ORIENTATIONS,
@@ -25,6 +26,7 @@ from vehicle_detection.two_stage.features import (
     cut_out,
     cut_patches,
     luma_and_chroma,
+    margins_outside,
     on_whole_pixels,
     patch_features,
     regressor_features,
@@ -123,10 +125,13 @@ def test_what_tells_vehicles_and_what_tells_edges():
     luma, chroma = (
         rng.normal(size=(2, PATCH_SIDE, PATCH_SIDE, n)) for n in (CELL_FEATURES, CHROMA_FEATURES)
     )
-    every = np.concatenate([luma, chroma], axis=-1).reshape(2, N_REGRESSOR_FEATURES)
-    np.testing.assert_array_equal(regressor_features(luma, chroma), every)
-    own = luma.reshape(2, N_SCORER_FEATURES)
-    np.testing.assert_array_equal(scorer_features(luma), own)
+    outside = rng.random((2, N_BORDERS))
+    every = np.concatenate([luma, chroma], axis=-1).reshape(2, N_REGRESSOR_FEATURES - N_BORDERS)
+    np.testing.assert_array_equal(
+        regressor_features(luma, chroma, outside), np.hstack([every, outside])
+    )
+    own = luma.reshape(2, N_SCORER_FEATURES - N_BORDERS)
+    np.testing.assert_array_equal(scorer_features(luma, outside), np.hstack([own, outside]))
 
 
 def test_no_patches_have_no_features():
@@ -181,3 +186,13 @@ def test_faint_noise_stays_small_and_exposure_changes_no_gradient(describe):
     # Brought to unit length, cells of noise alone would be as long as edges.
     assert lengths[at_edge].min() > 2 * lengths[beside].max()
     np.testing.assert_allclose(gradients(img // 4), gradients(img), atol=0.02)
+
+
+def test_margins_outside_are_shares_of_a_cell():
+    # Boxes of 80 x 40, so margins of 10 x 5, in a frame of 200 x 100.
+    boxes = np.array(
+        [(0, 50, 80, 90), (7, 60, 87, 100), (116, 2, 196, 42), (-20, 20, 60, 60)], float
+    )
+    expected = [(1, 0, 0, 0), (0.3, 0, 0, 1), (0, 0.6, 0.6, 0), (1, 0, 0, 0)]
+    np.testing.assert_allclose(margins_outside(boxes, (100, 200, 3)), expected, atol=1e-6)
+    assert margins_outside(boxes[:0], (100, 200, 3)).shape == (0, N_BORDERS)

@@ -10,6 +10,7 @@ from vehicle_detection.two_stage.features import (
     chroma_features,
     cut_patches,
     luma_and_chroma,
+    margins_outside,
     on_whole_pixels,
     patch_features,
     regressor_features,
@@ -46,10 +47,11 @@ def test_the_closer_look_scores_where_it_moved_the_box():
 
     def described(box, cells):
         planes = luma_and_chroma(cut_patches(img, box[None]))
+        outside = margins_outside(box[None], img.shape)
         luma, contrast = patch_features(planes)
         if cells is scorer_features:
-            return scorer_features(luma)
-        return regressor_features(luma, chroma_features(planes, contrast))
+            return scorer_features(luma, outside)
+        return regressor_features(luma, chroma_features(planes, contrast), outside)
 
     none, no_scores = refined(img, np.empty((0, 4)), detector)
     assert none.shape == (0, 4) and no_scores.shape == (0,)
@@ -66,8 +68,9 @@ def test_the_closer_look_scores_where_it_moved_the_box():
 def test_what_is_hopeless_where_it_was_proposed_is_not_moved():
     img, detector = textured_image(4, 240, 320), random_detector(0)
     boxes = on_whole_pixels(random_boxes(np.random.default_rng(0), 9))
+    outside = margins_outside(boxes, img.shape)
     features, _ = patch_features(luma_and_chroma(cut_patches(img, boxes)))
-    own = detector.scorer.predict(scorer_features(features))[:, 0]
+    own = detector.scorer.predict(scorer_features(features, outside))[:, 0]
     # So that the middle one is at the limit, and half of them are below it.
     limited = detector.scorer.bias - np.float32(np.median(own) + 1)
     detector = replace(detector, scorer=replace(detector.scorer, bias=limited))

@@ -26,6 +26,7 @@ from vehicle_detection.parameters import (
 from vehicle_detection.tracking.boxes import best_iou, pairwise_iou, pairwise_overlap
 from vehicle_detection.two_stage.features import (
     N_REGRESSOR_FEATURES,
+    margins_outside,
     on_whole_pixels,
 )
 from vehicle_detection.two_stage.proposals import WINDOW_CELL, WINDOW_ROWS, cell_features
@@ -281,8 +282,9 @@ def test_crops_of_any_size_are_taken_whole(tmp_path):
 @given(seed=st.integers(0, 1000))
 def test_the_border_cuts_one_side_of_a_box(seed):
     box = np.array([10.0, 20, 74, 84])
-    cut = cut_by_border(box, np.random.default_rng(seed))
-    (side,) = np.flatnonzero(cut != box)
+    cut, outside = cut_by_border(box, np.random.default_rng(seed))
+    side = int(outside.argmax())
+    assert outside.sum() == 1
     others = [i for i in range(4) if i != side]
     np.testing.assert_array_equal(cut[others], box[others])
     axis = side % 2
@@ -291,8 +293,7 @@ def test_the_border_cuts_one_side_of_a_box(seed):
 
 def test_every_border_cuts():
     box = np.array([10.0, 20, 74, 84])
-    cuts = [cut_by_border(box, np.random.default_rng(seed)) for seed in range(60)]
-    sides = [np.flatnonzero(cut != box)[0] for cut in cuts]
+    sides = [cut_by_border(box, np.random.default_rng(seed))[1].argmax() for seed in range(60)]
     assert set(sides) == {0, 1, 2, 3}
 
 
@@ -301,8 +302,10 @@ def crop_of(box, seed=0):
     return Example(img, np.array([box], float), np.array([True]), np.ones(1))
 
 
-@pytest.mark.parametrize("box", [(3, 8, 58, 60), (0, 8, 58, 60)])
-def test_edges_of_a_boxed_crop_lead_back_to_its_box(monkeypatch, box):
+@pytest.mark.parametrize(
+    "box, ends", [((3, 8, 58, 60), (0, 0, 0, 0)), ((0, 8, 58, 60), (1, 0, 0, 0))]
+)
+def test_a_crop_ends_only_where_it_cuts_the_vehicle(monkeypatch, box, ends):
     moved = np.array([box, (2, 7, 63, 64), (1, 4, 50, 61)], float)
     monkeypatch.setattr(second_stage, "with_moved_edges", lambda *_: np.tile(moved, (3, 1)))
     monkeypatch.setattr(second_stage, "random_camera", lambda e, _: (e.read(), e.boxes, e.required))
@@ -311,7 +314,10 @@ def test_edges_of_a_boxed_crop_lead_back_to_its_box(monkeypatch, box):
     windows = on_whole_pixels(np.tile(moved, (3, 1)))
     size = np.tile(windows[:, 2:] - windows[:, :2], 2)
     np.testing.assert_allclose(windows + shifts * size, np.tile(box, (9, 1)))
-    assert features.shape == (9, N_REGRESSOR_FEATURES)
+    outside = margins_outside(windows, (64, 64))
+    # All margins lie outside of the picture on the left, some of them below and on the right.
+    assert (outside[:, 0] > 0).all() and (outside[:, 2:].max(axis=0) > 0).all()
+    np.testing.assert_allclose(features[:, -4:], outside * ends, atol=1e-3)
 
 
 def test_every_boxed_crop_is_looked_at_eight_times(monkeypatch):

@@ -10,6 +10,7 @@ the frame.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -28,8 +29,10 @@ CELL_FEATURES = ORIENTATIONS + 3
 # HOG of the chroma tells where edges are. The scorer does without: with it, vehicles of a
 # camera that was not learned from score low.
 CHROMA_FEATURES = 2 * ORIENTATIONS
-N_SCORER_FEATURES = PATCH_SIDE**2 * CELL_FEATURES
-N_REGRESSOR_FEATURES = PATCH_SIDE**2 * (CELL_FEATURES + CHROMA_FEATURES)
+# Left, top, right, bottom: how much of the margin is outside of the frame.
+N_BORDERS = 4
+N_SCORER_FEATURES = PATCH_SIDE**2 * CELL_FEATURES + N_BORDERS
+N_REGRESSOR_FEATURES = PATCH_SIDE**2 * (CELL_FEATURES + CHROMA_FEATURES) + N_BORDERS
 _INNER = slice(PATCH_MARGIN, PATCH_MARGIN + PATCH_CELLS)
 
 # Length of a histogram without gradients, in roots of grey levels.
@@ -278,25 +281,54 @@ def relative_colors(planes: np.ndarray) -> np.ndarray:
     return means.transpose(1, 2, 3, 0)
 
 
-def scorer_features(cells: np.ndarray) -> np.ndarray:
-    """What tells vehicles: boxes with their margins, shape (n, N_SCORER_FEATURES).
+def margins_outside(boxes: np.ndarray, frame_shape: tuple) -> np.ndarray:
+    """How much of the margin on each side of a box lies outside of the frame.
+
+    Half a car that ends where the frame ends is a vehicle that enters; half a
+    car anywhere else is a part of one.
+
+    Parameters
+    ----------
+    boxes : ndarray of float, shape (n, 4)
+    frame_shape : (rows, columns, ...)
+
+    Returns
+    -------
+    shares : ndarray of float32, shape (n, N_BORDERS)
+        Left, top, right, bottom; from 0 to 1.
+    """
+    rows, columns = frame_shape[:2]
+    margin = PATCH_MARGIN / PATCH_CELLS * (boxes[:, 2:] - boxes[:, :2])
+    to_border = np.hstack([boxes[:, :2], (columns, rows) - boxes[:, 2:]])
+    within = to_border / np.maximum(np.hstack([margin, margin]), 1e-9)
+    return np.clip(1 - within, 0, 1).astype(np.float32)
+
+
+def scorer_features(features: np.ndarray, outside: np.ndarray) -> np.ndarray:
+    """What tells vehicles: boxes with their margins, and `margins_outside`.
 
     What surrounds a box tells a vehicle from a part of one, and from a window of a house.
+    Shape (n, N_SCORER_FEATURES).
     """
-    return cells.reshape(-1, N_SCORER_FEATURES)
+    return np.hstack([features.reshape(-1, N_SCORER_FEATURES - N_BORDERS), outside])
 
 
-def regressor_features(cells: np.ndarray, chroma: np.ndarray) -> np.ndarray:
-    """What tells edges: the same with HOG of the chroma, shape (n, N_REGRESSOR_FEATURES)."""
-    return np.concatenate([cells, chroma], axis=-1).reshape(-1, N_REGRESSOR_FEATURES)
+def regressor_features(features: np.ndarray, chroma: Any, outside: np.ndarray) -> np.ndarray:
+    """What tells edges: boxes with their margins, HOG of the chroma too, and `margins_outside`.
+
+    Shape (n, N_REGRESSOR_FEATURES).
+    """
+    cells = np.concatenate([features, chroma], axis=-1)
+    return np.hstack([cells.reshape(-1, N_REGRESSOR_FEATURES - N_BORDERS), outside])
 
 
-def describe_for_scorer(planes: np.ndarray) -> np.ndarray:
-    """`scorer_features` of patches, from `luma_and_chroma`."""
-    return scorer_features(patch_features(planes)[0])
+def describe_for_scorer(planes: np.ndarray, outside: np.ndarray) -> np.ndarray:
+    """`scorer_features` of patches, from `luma_and_chroma` and `margins_outside`."""
+    cells, _ = patch_features(planes)
+    return scorer_features(cells, outside)
 
 
-def describe_for_regressor(planes: np.ndarray) -> np.ndarray:
-    """`regressor_features` of patches, from `luma_and_chroma`."""
+def describe_for_regressor(planes: np.ndarray, outside: np.ndarray) -> np.ndarray:
+    """`regressor_features` of patches, from `luma_and_chroma` and `margins_outside`."""
     cells, contrast = patch_features(planes)
-    return regressor_features(cells, chroma_features(planes, contrast))
+    return regressor_features(cells, chroma_features(planes, contrast), outside)

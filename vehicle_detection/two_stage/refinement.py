@@ -14,6 +14,7 @@ from vehicle_detection.two_stage.features import (
     cut_patches,
     describe_for_scorer,
     luma_and_chroma,
+    margins_outside,
     on_whole_pixels,
     patch_features,
     regressor_features,
@@ -93,12 +94,13 @@ def refine(
 
 def _move_and_score(frame, boxes, detector, discard_below):
     boxes = on_whole_pixels(boxes)
+    outside = margins_outside(boxes, frame.shape)
     planes = luma_and_chroma(cut_patches(frame, boxes))
     cells, contrast = patch_features(planes)
-    scores = detector.scorer.predict(scorer_features(cells))[:, 0]
+    scores = detector.scorer.predict(scorer_features(cells, outside))[:, 0]
     near = scores > discard_below
     chroma = chroma_features(planes[:, near], contrast[near])
-    shifts = detector.regressor.predict(regressor_features(cells[near], chroma))
+    shifts = detector.regressor.predict(regressor_features(cells[near], chroma, outside[near]))
     boxes[near] = on_whole_pixels(move_edges(boxes[near], shifts))
     scores[near] = score_boxes(frame, boxes[near], detector.scorer)
     return boxes, scores
@@ -107,7 +109,7 @@ def _move_and_score(frame, boxes, detector, discard_below):
 def score_boxes(frame: np.ndarray, boxes: np.ndarray, scorer: Any) -> np.ndarray:
     """Decision function of boxes where they are, ndarray of float32, shape (n,)."""
     planes = luma_and_chroma(cut_patches(frame, boxes))
-    return scorer.predict(describe_for_scorer(planes))[:, 0]
+    return scorer.predict(describe_for_scorer(planes, margins_outside(boxes, frame.shape)))[:, 0]
 
 
 def move_edges(boxes: np.ndarray, shifts: np.ndarray) -> np.ndarray:

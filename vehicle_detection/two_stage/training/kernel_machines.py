@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.linalg import block_diag
 from sklearn.cluster import KMeans
 from sklearn.decomposition import PCA
 from sklearn.kernel_approximation import Nystroem
@@ -13,6 +14,7 @@ from sklearn.metrics.pairwise import rbf_kernel
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 
+from vehicle_detection.two_stage.features import N_BORDERS
 from vehicle_detection.two_stage.model import KernelMachine
 
 if TYPE_CHECKING:
@@ -20,18 +22,22 @@ if TYPE_CHECKING:
 
 
 def fit_components(features: np.ndarray, n_components: int, rng: np.random.Generator) -> tuple:
-    """Scaling and principal components of cells, as an affine map, float32."""
+    """Scaling and principal components of cells, borders apart; as an affine map, float32."""
     if len(features) < n_components:
         raise ValueError(f"only {len(features)} patches to learn from: give more footage")
     chosen = rng.permutation(len(features))[:15_000]
     scaler = StandardScaler()
     # Cells that are nearly always empty would weigh most if they were scaled up.
-    some = scaler.fit_transform(features[chosen].astype(np.float32))
+    some = scaler.fit_transform(features[chosen, :-N_BORDERS].astype(np.float32))
     scale = np.maximum(scaler.scale_, 0.01)
     some *= scaler.scale_ / scale
     pca = PCA(n_components, svd_solver="randomized", random_state=0).fit(some)
     projection = pca.components_ / scale
     offset = -(projection @ scaler.mean_) - pca.components_ @ pca.mean_
+    # A margin outside of the frame is as far from one inside as one patch from another.
+    border = np.sqrt(2 * pca.explained_variance_.sum()) * np.eye(N_BORDERS)
+    projection = block_diag(projection, border)
+    offset = np.concatenate([offset, np.zeros(N_BORDERS)])
     return projection.astype(np.float32), offset.astype(np.float32)
 
 
@@ -59,7 +65,7 @@ def fit_regressor(
            machine learning models", Science 383, 2024.
     """
     n_components, n_centers = params.regressor_size
-    n_principal = min(params.n_principal, len(features), features.shape[1])
+    n_principal = min(params.n_principal, len(features), features.shape[1] - N_BORDERS)
     projection, offset = fit_components(features, max(n_components, n_principal), rng)
     components = apply_components(features, projection, offset)
     chosen = rng.permutation(len(components))
@@ -141,7 +147,7 @@ def fit_scorer(
     Parameters
     ----------
     features : ndarray of float32, shape (n, N_INNER_FEATURES)
-        See `features.scorer_features`.
+        See `features.scorer_features`: the last are the margins outside of the frame.
     labels : ndarray, shape (n,)
         Positive for vehicles.
     rng : numpy.random.Generator

@@ -50,7 +50,7 @@ def is_background(windows: np.ndarray, boxes: np.ndarray, iou: float, covered: f
     return (best_iou(windows, boxes) < iou) & (share.max(axis=1) < covered)
 
 
-def cut_by_border(box: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def cut_by_border(box: np.ndarray, rng: np.random.Generator) -> tuple:
     """What is left of a box that a border of the frame cuts, on a side at random.
 
     Parameters
@@ -61,8 +61,11 @@ def cut_by_border(box: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     Returns
     -------
     box : ndarray of float, shape (4,)
+    outside : ndarray of float, shape (4,)
+        See `features.margins_outside`.
     """
     side = rng.integers(4)
-    box = box.copy()
+    box, outside = box.copy(), np.zeros(4)
     box[side] += rng.uniform(0, _MOST_CUT) * (box[(side + 2) % 4] - box[side])
-    return box
+    outside[side] = 1
+    return box, outside

@@ -13,10 +13,12 @@ from vehicle_detection.compiled.threads import in_parallel
 from vehicle_detection.parameters import ScanParams
 from vehicle_detection.tracking.boxes import best_iou, pairwise_iou
 from vehicle_detection.two_stage.features import (
+    N_BORDERS,
     cut_patches,
     describe_for_regressor,
     describe_for_scorer,
     luma_and_chroma,
+    margins_outside,
     on_whole_pixels,
 )
 from vehicle_detection.two_stage.refinement import move_edges
@@ -88,25 +90,29 @@ def edge_samples(item: tuple, templates: tuple, params: TrainingParams) -> tuple
     example, rng = item
     img, boxes, required = random_camera(example, rng)
     windows = candidates(img, boxes, required, templates, rng)
-    return _edges(img, windows, boxes[required], params, rng)
+    return _edges(img, windows, boxes[required], (np.ones(N_BORDERS), params), rng)
 
 
 def crop_edge_samples(item: tuple, params: Any) -> tuple:
     """As `edge_samples`, of a vehicle that was cut out of a frame with a margin."""
     example, rng = item
     img, boxes, required = random_camera(example, rng)
-    return _edges(img, with_moved_edges(boxes[required], rng), boxes[required], params, rng)
+    # What cut the vehicle may as well have been the end of the frame; beyond a margin it goes on.
+    ends = (margins_outside(boxes, img.shape) == 1).any(axis=0)
+    return _edges(img, with_moved_edges(boxes[required], rng), boxes[required], (ends, params), rng)
 
 
-def _edges(img, windows, vehicles, params, rng):
-    """Windows around vehicles as `edge_samples`."""
+def _edges(img, windows, vehicles, ends_and_params, rng):
+    """Windows around vehicles as `edge_samples`; ends are 0 on sides where no frame ends."""
+    ends, params = ends_and_params
     windows = on_whole_pixels(windows[best_iou(windows, vehicles) > params.background_iou])
     own = np.empty((0, 4))
     if len(windows):
         own = vehicles[pairwise_iou(windows, vehicles).argmax(axis=1)]
     size = np.tile(windows[:, 2:] - windows[:, :2], 2)
+    outside = margins_outside(windows, img.shape) * ends
     planes = luma_and_chroma(degrade(cut_patches(img, windows), rng))
-    return describe_for_regressor(planes).astype(np.float16), (own - windows) / size
+    return describe_for_regressor(planes, outside).astype(np.float16), (own - windows) / size
 
 
 def train_regressor(
@@ -146,7 +152,7 @@ def patch_samples(item: tuple, machines: tuple, params: TrainingParams) -> tuple
     img, boxes, required = random_camera(example, rng)
     windows = on_whole_pixels(candidates(img, boxes, required, templates, rng))
     planes = luma_and_chroma(cut_patches(img, windows))
-    features = describe_for_regressor(planes)
+    features = describe_for_regressor(planes, margins_outside(windows, img.shape))
     windows = on_whole_pixels(move_edges(windows, regressor.predict(features)))
     iou = best_iou(windows, boxes[required])
     # A part of a vehicle is none, or it would be found beside the whole.
@@ -154,7 +160,7 @@ def patch_samples(item: tuple, machines: tuple, params: TrainingParams) -> tuple
     clear = (iou > params.vehicle_iou) | is_other
     windows, labels = windows[clear], (iou[clear] > params.vehicle_iou).astype(int)
     planes = luma_and_chroma(degrade(cut_patches(img, windows), rng))
-    features = describe_for_scorer(planes)
+    features = describe_for_scorer(planes, margins_outside(windows, img.shape))
     if scorer is not None:
         hard = scorer.predict(features)[:, 0] * (2 * labels - 1) < params.sure_score
         features, labels = features[hard], labels[hard]
@@ -172,11 +178,14 @@ def crop_patches(training_set: TrainingSet, rng: np.random.Generator, params: An
     for path, label in tqdm(labeled, "crops", unit="image"):
         img = random_crop(path, rng)
         whole = np.array([0.0, 0.0, len(img), len(img)])
+        cut, outside = cut_by_border(whole, rng)
         parts = random_parts(np.tile(whole, (2 * label, 1)), rng)
         parts = parts[best_iou(parts, whole[None]) < params.background_iou]
-        boxes = np.concatenate([[whole, cut_by_border(whole, rng)], parts])
+        boxes = np.concatenate([[whole, cut], parts])
+        all_outside = np.zeros((len(boxes), N_BORDERS))
+        all_outside[1] = outside
         planes = luma_and_chroma(degrade(cut_patches(img, boxes), rng))
-        features = describe_for_scorer(planes).astype(np.float16)
+        features = describe_for_scorer(planes, all_outside).astype(np.float16)
         yield features, np.array([label, label, *np.zeros(len(parts), int)])
 
 
