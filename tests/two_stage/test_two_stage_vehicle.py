@@ -11,7 +11,12 @@ from vehicle_detection.evaluation.metrics import evaluate
 from vehicle_detection.media.drawing import identity_color
 from vehicle_detection.media.mot import read_rows, rows_of_detections
 from vehicle_detection.media.videos import read_frames
-from vehicle_detection.parameters import STILL_PARAMS, TrackParams, TwoStageParams
+from vehicle_detection.parameters import (
+    DEFAULT_TRACKS,
+    STILL_PARAMS,
+    TrackParams,
+    TwoStageParams,
+)
 from vehicle_detection.two_stage.model import save_detector
 from vehicle_detection.two_stage.refinement import Candidates
 from vehicle_detection.two_stage.vehicle import TwoStageVehicle
@@ -88,8 +93,10 @@ def test_a_vehicle_that_is_gone_is_dropped_once_its_score_is_used_up(scripted):
     found, _ = scripted([[(NEAR, 1.5)]] * 5 + [[]] * 12)
     shown = [len(one.boxes) for one in found]
     assert shown[4] == 1 and shown[-1] == 0
-    # Five times 1.5 less the offset of 0.35, at 0.9 a frame.
-    assert shown.index(0, 5) == 5 + int(5 * 1.15 / 0.9)
+    # Five times the score less the offset is used up at so much a frame.
+    gathered = 5 * (1.5 - DEFAULT_TRACKS.score_offset)
+    assert gathered < DEFAULT_TRACKS.max_score
+    assert shown.index(0, 5) == 5 + int(gathered / DEFAULT_TRACKS.miss_penalty)
 
 
 def test_a_sign_above_the_road_loses_score(scripted):
