@@ -255,7 +255,7 @@ class ScanParams:
     cells_per_step: int = 2
     n_groups: int = 5
     threshold: float = -0.5
-    n_proposals: int = 10
+    n_proposals: int = 16
     overlap: float = 0.5
 
     def __post_init__(self):
