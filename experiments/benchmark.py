@@ -242,7 +242,8 @@ def training(data):
 _PEAK = """
 import re, sys
 from pathlib import Path
-from heat_vehicle import Vehicle
+from vehicle import Vehicle
+from vehicle_detection.media.annotate import annotate_video
 annotate_video(Path(sys.argv[1]), Path(sys.argv[2]), Vehicle(None, sys.argv[3]))
 # Not getrusage: its peak includes that of the process this one was forked from.
 print(int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1]) / 1024)
