@@ -7,6 +7,7 @@ import argparse
 from pathlib import Path
 
 import cv2
+import nbformat
 import numpy as np
 from nbconvert import MarkdownExporter
 from traitlets.config import Config
@@ -27,6 +28,14 @@ def small_jpeg(png):
     return cv2.imencode(".jpg", img, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
 
 
+def without_progress(notebook):
+    """The notebook without what its cells wrote to the error stream: progress bars."""
+    for cell in notebook.cells:
+        if "outputs" in cell:
+            cell.outputs = [one for one in cell.outputs if one.get("name") != "stderr"]
+    return notebook
+
+
 def convert(notebook, path):
     """Write an executed notebook as Markdown, and its pictures into a folder beside it."""
     config = Config()
@@ -34,9 +43,11 @@ def convert(notebook, path):
     config.TagRemovePreprocessor.remove_all_outputs_tags = (LEFT_OUT,)
     config.TagRemovePreprocessor.remove_cell_tags = ("injected-parameters",)
     folder = path.with_suffix("").name
-    text, resources = MarkdownExporter(config=config).from_filename(
-        str(notebook), resources={"output_files_dir": f"{folder}_files"}
+    text, resources = MarkdownExporter(config=config).from_notebook_node(
+        without_progress(nbformat.read(notebook, as_version=4)),
+        resources={"output_files_dir": f"{folder}_files"},
     )
+    text = text.replace(f"{Path.cwd()}/", "")
     for name, content in resources["outputs"].items():
         jpeg = Path(name).with_suffix(".jpg")
         write_whole(path.parent / jpeg, small_jpeg(content))
