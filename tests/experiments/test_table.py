@@ -79,7 +79,7 @@ def test_dataset_is_in_the_order_of_the_numbers(tmp_path):
         for number in (10, 9, 1):
             img = np.full((64, 64, 3), number, np.uint8)
             write_image(tmp_path / name / f"image{number}.png", img)
-    dataset = load_training_set(tmp_path)
+    dataset = load_training_set(str(tmp_path))
     assert dataset.images[:, 0, 0, 0].tolist() == [1, 9, 10] * 3
     assert dataset.labels.tolist() == [1] * 6 + [0] * 3
     assert len(set(dataset.sources[:3])) == 1 and len(set(dataset.sources)) == 3

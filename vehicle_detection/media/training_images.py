@@ -98,11 +98,17 @@ def numbers_in(path: Path) -> tuple:
     return path.parent, int(digits[-1]) if digits else 0
 
 
-def load_training_set(folder: Path) -> TrainingImages:
-    """Read folder/vehicles and folder/non-vehicles."""
+def load_training_set(folder: str | os.PathLike) -> TrainingImages:
+    """Read folder/vehicles and folder/non-vehicles.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        A folder is missing or empty; an image cannot be read.
+    """
     paths, labels = [], []
     for label, name in ((1, "vehicles"), (0, "non-vehicles")):
-        found = sorted(find_images(folder / name), key=numbers_in)
+        found = sorted(find_images(Path(folder) / name), key=numbers_in)
         paths += found
         labels += [label] * len(found)
     folders = [str(path.parent) for path in paths]
