@@ -7,12 +7,15 @@ python detect.py drive.mp4 --method G    the write-up's pipeline
 
 from __future__ import annotations
 
+from vehicle_detection import command_line  # isort: split
+
 import argparse
 import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from vehicle_detection.command_line import FAILED, LOSSES, nonempty_path
 from vehicle_detection.parameters import (
     FILTER_PRESETS,
     METHODS,
@@ -42,15 +45,23 @@ def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
         description="Box the vehicles in images and videos. Writes an annotated copy of each "
         "input and a text file of boxes, MOTChallenge rows in pixels of the frame as read.",
         epilog="examples: detect.py drive.mp4; detect.py photos/ --out boxes; "
-        "detect.py drive.mp4 --method G --split-screen",
+        "detect.py drive.mp4 --method G --split-screen. Exit code: 0 all done, 1 some input "
+        "failed, 2 wrong usage, 3 frames of a video could not be decoded, 130 interrupted.",
     )
     parser.add_argument(
-        "inputs", nargs="*", type=Path, default=[ROOT / "videos/drive.mp4"],
-        help="images, folders of them, videos; default: the shipped clip",
+        "inputs", nargs="*", type=nonempty_path, default=[ROOT / "videos/drive.mp4"],
+        help="images, videos, folders of them; default: the shipped clip",
     )  # fmt: skip
     parser.add_argument(
-        "--out", type=Path, default=Path("output"), help="folder to write to, default: output"
+        "--out",
+        type=nonempty_path,
+        default=Path("output"),
+        help="folder to write to, default: output",
     )
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace results that are there already"
+    )
+    parser.add_argument("--quiet", action="store_true", help="print nothing but what is wrong")
     parser.add_argument(
         "--method", choices=METHODS, default=METHODS[0],
         help="two-stage: proposals, refinement and tracks (default); G, B: the pipeline of a "
@@ -146,38 +157,64 @@ def open_vehicle(arguments: argparse.Namespace, is_still: bool) -> Any:
     return Vehicle(calib, classifier, chosen_search(arguments), heat_filter)
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Annotate all inputs."""
+def run(arguments: argparse.Namespace) -> int:
+    """Annotate all inputs; what is wrong with one does not stop the others.
+
+    Returns
+    -------
+    code : int
+        See `vehicle_detection.command_line`.
+    """
     # Not at the top: `--help` would wait for the video and array libraries.
     from tqdm.auto import tqdm
 
-    from vehicle_detection.media.annotate import (
-        annotate_image,
-        annotate_video,
-        gather_inputs,
-        require_free_names,
-    )
+    from vehicle_detection.media.annotate import annotate_image, annotate_video
+    from vehicle_detection.media.inputs import gather_inputs, require_free_outputs
 
-    images, videos = gather_inputs(arguments.inputs)
-    require_free_names(images, videos, arguments.out)
+    sources = gather_inputs(arguments.inputs, arguments.out)
+    require_free_outputs(sources, arguments.overwrite)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    images = [source for source in sources if not source.is_video]
+    videos = [source for source in sources if source.is_video]
+    failures, losses = [], []
+
+    def attempt(annotate, source, *rest):
+        """Note what is wrong with an input."""
+        try:
+            lost = annotate(source, *rest)
+        except (OSError, ValueError) as error:
+            failures.append(str(error))
+        else:
+            losses.extend([f"{source.path}: {lost}"] if source.is_video and lost else [])
+
     if images:
         still = open_vehicle(arguments, is_still=True)
-        for path in tqdm(images, "images", unit="image"):
-            annotate_image(path, arguments.out, still)
-    for path in videos:
+        for source in tqdm(images, "images", unit="image", disable=arguments.quiet):
+            attempt(annotate_image, source, still)
+    for source in videos:
         vehicle = open_vehicle(arguments, is_still=False)
-        annotate_video(path, arguments.out, vehicle, arguments.split_screen, arguments.preset)
-    print(f"wrote {len(images)} images and {len(videos)} videos to {arguments.out}")
+        options = arguments.split_screen, arguments.preset, arguments.quiet
+        attempt(annotate_video, source, vehicle, *options)
+    return report(arguments, len(sources), failures, losses)
 
 
-def main() -> None:
+def report(arguments: argparse.Namespace, count: int, failures: list, losses: list) -> int:
+    """Print how it went; the exit code."""
+    for line in losses:
+        print(f"warning: {line}", file=sys.stderr)
+    for line in failures:
+        print(f"error: {line}", file=sys.stderr)
+    if not arguments.quiet:
+        print(f"wrote {count - len(failures)} of {count} to {arguments.out}")
+    if failures:
+        return FAILED
+    return LOSSES if losses else 0
+
+
+def main() -> int:
     """Run the command line."""
-    arguments = parse_arguments()
-    try:
-        run(arguments)
-    except (OSError, ValueError) as error:
-        sys.exit(f"error: {error}")
+    return run(parse_arguments())
 
 
 if __name__ == "__main__":
-    main()
+    command_line.run(main)

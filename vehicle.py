@@ -28,7 +28,7 @@ from pipeline_functions import (
 )
 from vehicle_detection.classifier import load_classifier
 from vehicle_detection.media.drawing import draw_boxes, draw_heat, draw_vehicles
-from vehicle_detection.media.viewer import Viewer, require_same_size
+from vehicle_detection.media.viewer import Viewer, require_frame
 from vehicle_detection.parameters import FILTER_PRESETS, HEAT_TRACKS, SEARCH_PRESETS
 from vehicle_detection.tracking.tracker import Tracker
 
@@ -140,7 +140,7 @@ class Vehicle(Viewer):
         ValueError
             The frame is of another size than the one before, or too small for any window.
         """
-        require_same_size(rgb_frame, self._frame_shape)
+        require_frame(rgb_frame, self._frame_shape)
         self._frame_shape = rgb_frame.shape
         if self._grid is None:
             windows = slide_window(rgb_frame.shape, self.classifier.params, self.search)

@@ -22,6 +22,8 @@ from vehicle_detection.two_stage.proposals import WINDOW_COLUMNS, WINDOW_ROWS
 
 ROOT = Path(__file__).parent.parent
 SHARED = ROOT.parent / "shared"
+# Small files that once broke something, made from rendered scenes.
+CASES = ROOT / "tests/cases"
 
 # No limits of time: the first call of compiled code compiles it, and machines are busy.
 settings.register_profile("untimed", deadline=None)

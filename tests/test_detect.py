@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import detect
-from conftest import ROOT, moving_frames, random_detector, textured_image, write_video
+from conftest import CASES, ROOT, moving_frames, random_detector, textured_image, write_video
 from vehicle import Vehicle
 from vehicle_detection.media.images import write_image
 from vehicle_detection.media.mot import mot_rows
@@ -89,7 +89,7 @@ def test_options_of_the_other_method_are_refused(tmp_path, option):
 @pytest.mark.parametrize(
     "name, message",
     [
-        ("gone.mp4", "no such video"),
+        ("gone.mp4", "no such file"),
         ("notes.txt", "neither an image nor a video"),
         ("text.mp4", "not a readable video"),
         ("text.png", "not a readable image"),
@@ -106,20 +106,54 @@ def test_detect_names_bad_input(param, tmp_path, name, message):
     assert not out.exists() or list(out.iterdir()) == []
 
 
-def test_two_inputs_of_one_name_are_refused(param, tmp_path):
+def test_two_inputs_of_one_name_get_two_outputs(param, tmp_path):
     for folder in ("a", "b"):
         write_image(tmp_path / folder / "same.png", next(moving_frames(1)))
-    result = run(
-        tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out", "--method", "G", "--param", param
-    )
-    assert result.returncode == 1 and "is taken: use another --out" in result.stderr
+    out = tmp_path / "out"
+    command = tmp_path / "a", tmp_path / "b", "--out", out, "--method", "G", "--param", param
+    assert run(*command).returncode == 0
+    names = {"same.png", "same.txt", "same_2.png", "same_2.txt"}
+    assert {path.name for path in out.iterdir()} == names
+    again = run(*command)
+    assert again.returncode == 1 and "is there already" in again.stderr
+    assert run(*command, "--overwrite", "--quiet").stdout == ""
+
+
+def test_one_bad_file_stops_no_other(param, tmp_path):
+    write_image(tmp_path / "in/good.png", next(moving_frames(1)))
+    (tmp_path / "in/bad.png").write_text("text")
+    (tmp_path / "in/bad.mp4").write_text("text")
+    out = tmp_path / "out"
+    result = run(tmp_path / "in", "--out", out, "--method", "G", "--param", param)
+    assert result.returncode == 1 and "wrote 1 of 3" in result.stdout
+    errors = [line for line in result.stderr.splitlines() if line.startswith("error: ")]
+    assert len(errors) == 2 and {path.name for path in out.iterdir()} == {"good.png", "good.txt"}
+
+
+def test_losses_have_a_code_of_their_own(tmp_path):
+    result = run(CASES / "damaged.mp4", "--out", tmp_path, "--quiet")
+    assert result.returncode == 3
+    expected = f"warning: {CASES / 'damaged.mp4'}: 1 frame cannot be decoded: 41"
+    assert result.stderr.strip() == expected
+    numbers = {int(line.split(",")[0]) for line in (tmp_path / "damaged.txt").open()}
+    assert 150 in numbers and 41 not in numbers
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (16, 16), (2000, 3), (63, 200)])
+def test_frames_too_small_to_search_are_said(param, tmp_path, shape):
+    write_image(tmp_path / "img.png", np.zeros((*shape, 3), np.uint8))
+    for method in (["--method", "G", "--param", param], []):
+        result = run(tmp_path / "img.png", "--out", tmp_path / "out", *method)
+        assert result.returncode == 1
+        assert f"no window fits a frame of {shape[1]}x{shape[0]}" in result.stderr
 
 
 def test_an_input_is_never_overwritten(param, tmp_path):
     write_image(tmp_path / "still.png", next(moving_frames(1)))
     before = (tmp_path / "still.png").read_bytes()
-    result = run(tmp_path / "still.png", "--out", tmp_path, "--method", "G", "--param", param)
-    assert result.returncode == 1 and "is taken: use another --out" in result.stderr
+    options = "--out", tmp_path, "--method", "G", "--param", param, "--overwrite"
+    result = run(tmp_path / "still.png", *options)
+    assert result.returncode == 1 and "is an input: use another --out" in result.stderr
     assert (tmp_path / "still.png").read_bytes() == before
 
 

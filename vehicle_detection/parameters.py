@@ -8,6 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+# Of a frame to search: its shorter side in pixels, and its height by its width. A vehicle in a
+# smaller one is a few pixels; a taller one, brought to the width of the others, is huge.
+SMALLEST_SIDE = 64
+TALLEST_FRAME = 4
+
 COLOR_SPACES = ("RGB", "YCrCb", "HSV", "HLS", "LUV", "YUV", "Lab", "gray")
 
 
@@ -217,6 +222,32 @@ FILTER_PRESETS = {
 }
 
 METHODS = ("two-stage", "G", "B")
+
+
+# ----------------------------------------------------------------------- calibration
+
+
+@dataclass(frozen=True)
+class CalibrationParams:
+    """Which photos of a chessboard tell enough of a camera.
+
+    Attributes
+    ----------
+    least_photos : int
+        That show the whole board.
+    least_tilt : float
+        Of two boards against each other, in degrees. Parallel boards leave the focal length
+        open.
+    least_coverage : float
+        Share of the picture within the hull of all corners. Lens distortion shows outside.
+    """
+
+    least_photos: int = 3
+    least_tilt: float = 15
+    least_coverage: float = 0.2
+
+
+DEFAULT_CALIBRATION = CalibrationParams()
 
 
 # ------------------------------------------------------------ the two-stage detector

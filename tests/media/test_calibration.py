@@ -7,6 +7,7 @@ from rendered_road.render import Camera
 from rendered_road.sample import chessboard_photo
 from vehicle_detection.media.calibration import calibrate, load_calibration, save_calibration
 from vehicle_detection.media.images import find_images, write_image
+from vehicle_detection.parameters import CalibrationParams
 
 
 @pytest.fixture(scope="module")
@@ -20,10 +21,18 @@ def photos(tmp_path_factory):
 
 
 def test_finds_the_camera_again(photos, tmp_path):
-    calibration, error, skipped = calibrate(photos)
-    camera = Camera()
-    assert photos[-1] in skipped
-    assert error < 0.1
+    fit = calibrate(photos)
+    calibration, camera = fit.calibration, Camera()
+    assert photos[-1] in fit.skipped
+    assert fit.error < 0.1
+    # Three standard deviations, by which the true camera may be off.
+    for name, value, true in zip(
+        ("fx", "fy", "cx", "cy"),
+        calibration.mtx[[0, 1, 0, 1], [0, 1, 2, 2]],
+        camera.mtx[[0, 1, 0, 1], [0, 1, 2, 2]],
+        strict=True,
+    ):
+        assert abs(value - true) < 3 * fit.deviations[name] + 1
     np.testing.assert_allclose(calibration.mtx, camera.mtx, rtol=0.003, atol=1e-9)
     np.testing.assert_allclose(calibration.dist[0], camera.dist, atol=0.02)
     save_calibration(calibration, tmp_path / "calib.p")
@@ -33,7 +42,7 @@ def test_finds_the_camera_again(photos, tmp_path):
 
 
 def test_undistorted_lines_are_straight(photos):
-    calibration, _, _ = calibrate(photos)
+    calibration = calibrate(photos).calibration
     map_x = calibration.maps((720, 1280, 3))[0][..., 0].astype(float)
     # A line at the left border of the pinhole picture is bowed in the raw one.
     assert abs(map_x[360, 60] - map_x[0, 60]) > 5
@@ -43,7 +52,7 @@ def test_undistorted_lines_are_straight(photos):
 
 
 def test_other_aspect_ratio_is_refused(photos):
-    calibration, _, _ = calibrate(photos)
+    calibration = calibrate(photos).calibration
     with pytest.raises(ValueError, match="1280x720 photos and does not fit frames of 640x480"):
         calibration.maps((480, 640, 3))
 
@@ -51,6 +60,15 @@ def test_other_aspect_ratio_is_refused(photos):
 def test_too_few_boards_are_said(photos):
     with pytest.raises(ValueError, match="1 photos show all 9x6"):
         calibrate([photos[0], photos[-1]])
+
+
+def test_boards_in_one_pose_are_refused(photos, tmp_path):
+    for number in range(3):
+        write_image(tmp_path / f"{number}.png", chessboard_photo(0))
+    with pytest.raises(ValueError, match="tilted by 0 degrees"):
+        calibrate(find_images(tmp_path))
+    with pytest.raises(ValueError, match="cover .* of the picture"):
+        calibrate(photos, params=CalibrationParams(least_coverage=0.99))
 
 
 def test_wrong_calibration_file_is_refused(tmp_path):

@@ -1,12 +1,22 @@
 """Images of all sorts in, RGB out; bad files get an error that names them."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from conftest import textured_image
-from vehicle_detection.media.files import write_whole, written_whole
-from vehicle_detection.media.images import find_images, read_image, write_image
+from conftest import CASES, textured_image
+from vehicle_detection.media.images import (
+    find_images,
+    image_format,
+    natural_order,
+    read_image,
+    read_images,
+    write_image,
+)
 
 
 def test_read_image_gives_rgb(tmp_path):
@@ -72,17 +82,84 @@ def test_find_images_at_any_depth(tmp_path):
 def test_find_images_says_what_is_wrong(tmp_path):
     with pytest.raises(FileNotFoundError, match="nowhere: no such folder"):
         find_images(tmp_path / "nowhere")
-    with pytest.raises(FileNotFoundError, match="no png or jpg images"):
+    with pytest.raises(FileNotFoundError, match="no images in it"):
         find_images(tmp_path)
 
 
-def test_nothing_half_written_is_left(tmp_path):
-    path = tmp_path / "new" / "result.txt"
-    with pytest.raises(RuntimeError), written_whole(path) as partial:
-        partial.write_text("half")
-        raise RuntimeError
-    assert list(path.parent.iterdir()) == []
-    write_whole(path, "whole")
-    write_whole(path, b"whole again")
-    assert [p.name for p in path.parent.iterdir()] == ["result.txt"]
-    assert path.read_text() == "whole again"
+def test_left_overs_are_no_images(tmp_path):
+    for name in (".hidden.jpg", "._IMG_1.jpg", ".folder/1.jpg", "1.jpg"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    (tmp_path / "x.png").mkdir()
+    assert [path.name for path in find_images(tmp_path)] == ["1.jpg"]
+
+
+@given(numbers=st.lists(st.integers(0, 10**6), min_size=2, max_size=6, unique=True))
+def test_numbers_in_names_are_numbers(numbers):
+    names = [Path(f"drive 2/frame{number}.jpg") for number in numbers]
+    ordered = sorted(names, key=natural_order)
+    assert ordered == [Path(f"drive 2/frame{number}.jpg") for number in sorted(numbers)]
+
+
+def test_order_of_numbers_and_words():
+    names = ["b1", "a10", "a2", "a", "A2", "a2b", "10", "9"]
+    ordered = [str(p) for p in sorted(map(Path, names), key=natural_order)]
+    assert ordered.index("a2") < ordered.index("a10") and ordered.index("9") < ordered.index("10")
+
+
+@pytest.mark.parametrize("suffix", [".bmp", ".webp", ".tif", ".png", ".jpg"])
+def test_what_a_file_is_its_content_says(tmp_path, suffix):
+    img = textured_image(0, 48, 64)
+    write_image(tmp_path / f"img{suffix}", img)
+    path = (tmp_path / f"img{suffix}").rename(tmp_path / "img.dat")
+    assert image_format(path.read_bytes())
+    difference = np.abs(read_image(path).astype(int) - img).mean()
+    assert difference == 0 if suffix in (".bmp", ".tif", ".png") else difference < 20
+
+
+def test_a_motion_photo_is_whole():
+    assert read_image(CASES / "motion_photo.jpg").shape == (180, 320, 3)
+
+
+@pytest.mark.parametrize("progressive", [0, 1])
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.99])
+def test_a_truncated_jpeg_is_said(tmp_path, progressive, share):
+    options = [cv2.IMWRITE_JPEG_PROGRESSIVE, progressive, cv2.IMWRITE_JPEG_RST_INTERVAL, 4]
+    whole = cv2.imencode(".jpg", textured_image(0, 96, 128), options)[1].tobytes()
+    path = tmp_path / "photo.jpg"
+    # A thumbnail with an end of its own, fill bytes, and what some cameras write behind.
+    thumbnail = b"\xff\xe1" + (2 + 6).to_bytes(2) + b"\xff\xda\x00\x00\xff\xd9"
+    path.write_bytes(whole[:2] + thumbnail + b"\xff" + whole[2:] + b"\xff\xda trailer")
+    assert read_image(path).shape == (96, 128, 3)
+    path.write_bytes(whole[:2] + thumbnail + whole[2 : int(len(whole) * share)])
+    with pytest.raises(ValueError, match=r"photo\.jpg: (truncated|not a readable image)"):
+        read_image(path)
+
+
+def test_a_huge_claim_is_refused():
+    with pytest.raises(ValueError, match=r"png_claim_65000\.png: too large"):
+        read_image(CASES / "png_claim_65000.png")
+
+
+def test_all_bad_images_are_named(tmp_path):
+    write_image(tmp_path / "good.png", textured_image(0, 8, 8))
+    (tmp_path / "text.png").write_text("text")
+    paths = [tmp_path / name for name in ("good.png", "text.png", "gone.png")]
+    with pytest.raises(ValueError, match=r"text\.png: not a readable(.|\n)*gone\.png: no such"):
+        read_images(paths)
+    assert len(read_images(paths[:1])) == 1
+
+
+@given(
+    content=st.binary(max_size=300),
+    kind=st.sampled_from([b"", b"\xff\xd8\xff", b"\x89PNG\r\n", b"BM", b"II*\0"]),
+)
+def test_no_content_breaks_the_reader(tmp_path_factory, content, kind):
+    path = tmp_path_factory.getbasetemp() / "fuzzed.jpg"
+    path.write_bytes(kind + content)
+    try:
+        img = read_image(path)
+    except ValueError as error:
+        assert "fuzzed.jpg: " in str(error)
+    else:
+        assert img.dtype == np.uint8 and img.ndim == 3

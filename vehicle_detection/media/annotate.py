@@ -5,29 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
 from tqdm.auto import tqdm
 
-from vehicle_detection.media.files import write_whole
-from vehicle_detection.media.images import IMAGE_SUFFIXES, find_images, read_image, write_image
+from vehicle_detection.media.files import written_whole
+from vehicle_detection.media.images import encoded_image, read_image
 from vehicle_detection.media.mot import mot_rows
-from vehicle_detection.media.videos import (
-    VIDEO_SUFFIXES,
-    read_frames,
-    video_info,
-    video_writer,
-)
+from vehicle_detection.media.videos import VideoReader, encoding
 
 if TYPE_CHECKING:
+    from vehicle_detection.media.inputs import Source
     from vehicle_detection.media.viewer import Viewer
-
-
-def write_rows(path: str | os.PathLike, rows: list) -> None:
-    """Write rows of text to a file, whole or not at all."""
-    write_whole(path, "".join(row + "\n" for row in rows))
 
 
 @contextmanager
@@ -39,12 +28,17 @@ def naming(source: str | os.PathLike) -> Iterator:
         raise ValueError(f"{source}: {error}") from error
 
 
-def annotate_image(source: Path, folder: Path, vehicle: Viewer) -> list:
-    """Detect in one image; write the annotated image and its boxes into a folder.
+def as_text(rows: list) -> bytes:
+    """Lines of a text file."""
+    return "".join(row + "\n" for row in rows).encode()
+
+
+def annotate_image(source: Source, vehicle: Viewer) -> list:
+    """Detect in one image; write the annotated image and its boxes, both or neither.
 
     Parameters
     ----------
-    source, folder : Path
+    source : Source
     vehicle : Viewer
         Is reset first.
 
@@ -53,104 +47,63 @@ def annotate_image(source: Path, folder: Path, vehicle: Viewer) -> list:
     rows : list of str
         See `mot.mot_rows`.
     """
-    img = read_image(source)
+    img = read_image(source.path)
     vehicle.reset()
-    with naming(source):
+    with naming(source.path):
         detections = vehicle.detect(img)
-        picture = vehicle.draw(img, detections)
-    write_image(folder / source.name, picture)
+        picture = encoded_image(source.picture, vehicle.draw(img, detections))
     rows = mot_rows(1, detections)
-    write_rows(folder / f"{source.stem}.txt", rows)
+    with written_whole(source.picture) as image, written_whole(source.rows) as text:
+        image.write(picture)
+        text.write(as_text(rows))
     return rows
 
 
 def annotate_video(
-    source: Path,
-    folder: Path,
+    source: Source,
     vehicle: Viewer,
     split_screen: bool = False,
     preset: str = "ultrafast",
-) -> list:
-    """Detect in a video; write the annotated video and its boxes into a folder.
+    quiet: bool = False,
+) -> str:
+    """Detect in a video; write the annotated video and its boxes, all or nothing.
 
     Parameters
     ----------
-    source, folder : Path
+    source : Source
     vehicle : Viewer
         Is reset first.
     split_screen : bool
-        Also write STEM_split.mp4, see `Viewer.draw_split_screen`.
+        Also write `source.split_screen`, see `Viewer.draw_split_screen`.
     preset : str
         Of the encoder, see `videos.video_writer`.
+    quiet : bool
+        Without a progress bar.
 
     Returns
     -------
-    rows : list of str
-        See `mot.mot_rows`.
+    losses : str
+        Which frames could not be decoded, in words; empty if all could.
     """
-    info = video_info(source)
+    reader = VideoReader(source.path)
     vehicle.reset()
-    drawings = {folder / f"{source.stem}.mp4": vehicle.draw}
+    drawings = {source.picture: vehicle.draw}
     if split_screen:
-        drawings[folder / f"{source.stem}_split.mp4"] = vehicle.draw_split_screen
-    rows = []
+        drawings[source.split_screen] = vehicle.draw_split_screen
     with ExitStack() as stack:
-        writers = [stack.enter_context(video_writer(path, info, preset)) for path in drawings]
-        frames = tqdm(read_frames(source), source.name, info.n_frames, unit="frame")
-        for frame_number, frame in enumerate(frames, start=1):
-            with naming(source):
-                detections = vehicle.detect(frame)
-                pictures = [draw(frame, detections) for draw in drawings.values()]
+        # Encoders end first, then all files get their names.
+        text = stack.enter_context(written_whole(source.rows))
+        files = [stack.enter_context(written_whole(path)) for path in drawings]
+        writers = [
+            stack.enter_context(encoding(file, path, reader.info, preset, source.path))
+            for file, path in zip(files, drawings, strict=True)
+        ]
+        promised, name = reader.info.n_frames or None, source.path.name
+        for frame in tqdm(reader, name, promised, unit="frame", disable=quiet):
+            with naming(source.path):
+                detections = vehicle.detect(frame.rgb)
+                pictures = [draw(frame.rgb, detections) for draw in drawings.values()]
             for write, picture in zip(writers, pictures, strict=True):
-                write(picture)
-            rows += mot_rows(frame_number, detections)
-    write_rows(folder / f"{source.stem}.txt", rows)
-    return rows
-
-
-def gather_inputs(paths: Any) -> tuple:
-    """Split paths into images and videos; folders are opened for their images.
-
-    Returns
-    -------
-    images, videos : list of Path
-
-    Raises
-    ------
-    FileNotFoundError, ValueError
-        A path is missing, is a folder without images, or is neither image nor video by its
-        suffix.
-    """
-    images, videos = [], []
-    for path in paths:
-        if path.is_dir():
-            images += find_images(path)
-        elif path.suffix.lower() in IMAGE_SUFFIXES:
-            images.append(path)
-        elif path.suffix.lower() in VIDEO_SUFFIXES:
-            videos.append(path)
-        elif path.exists():
-            raise ValueError(f"{path}: neither an image nor a video that is known here")
-        else:
-            raise FileNotFoundError(f"{path}: no such file or folder")
-    return images, videos
-
-
-def require_free_names(images: np.ndarray, videos: list, folder: str | os.PathLike) -> None:
-    """Refuse inputs whose outputs would overwrite an input or each other.
-
-    Raises
-    ------
-    ValueError
-        Naming the input.
-    """
-    taken = {path.resolve() for path in images + videos}
-    for path in images + videos:
-        names = [path.name, f"{path.stem}.txt"]
-        if path in videos:
-            names = [f"{path.stem}.mp4", f"{path.stem}_split.mp4", f"{path.stem}.txt"]
-        for name in names:
-            output = (folder / name).resolve()
-            if output in taken:
-                raise ValueError(f"{path}: its output {folder / name} is taken: use another --out")
-            taken.add(output)
+                write(picture, frame.time)
+            text.write(as_text(mot_rows(frame.number, detections)))
+    return reader.losses() if reader.lost else ""

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import os
+import secrets
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
+from typing import BinaryIO
+
+try:
+    import fcntl
+except ImportError:  # Windows, where an open file cannot be deleted anyway.
+    fcntl = None
 
 SHIPPED = Path(__file__).parents[2] / "param"
 TRAINED = Path("output")
+_PARTIAL = ".vehicles-{}.partial"
 
 
 def trained_or_shipped(name: str) -> Path:
@@ -29,25 +38,83 @@ def trained_or_shipped(name: str) -> Path:
 
 
 @contextmanager
-def written_whole(path: str | os.PathLike) -> Iterator:
-    """A temporary path beside `path` that takes its name if the block succeeds.
+def written_whole(path: str | os.PathLike) -> Iterator[BinaryIO]:
+    """A new binary file that takes its name if the block succeeds.
 
-    The suffix stays, for encoders choose the format by it.
+    Until then it lies beside `path` under a random, hidden name, and is locked: what a process
+    that was killed has left there is deleted by the next one.
+
+    Yields
+    ------
+    file : binary file
+        To be read, written and searched in.
+
+    Raises
+    ------
+    OSError
+        The folder cannot be written to, or what bears the name is no regular file.
     """
     path = Path(path)
+    if path.exists() and not path.is_file():
+        raise OSError(f"{path}: is no regular file, and is not replaced")
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{os.getpid()}.partial.{path.name}")
+    _sweep(path.parent.resolve())
+    partial, file = _new_file(path.parent)
     try:
-        yield partial
-        partial.replace(path)
+        with file:
+            yield file
+            file.flush()
+            if fcntl:
+                # While it is locked, so that nobody sweeps it away.
+                partial.replace(path)
+        if not fcntl:
+            partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
 
 
+def _new_file(folder):
+    """A file with a name of its own, locked; nothing that lies there is followed or opened."""
+    while True:
+        partial = folder / _PARTIAL.format(secrets.token_hex(8))
+        file = open(partial, "x+b")  # noqa: SIM115, the caller closes it
+        if not fcntl:
+            return partial, file
+        fcntl.flock(file, fcntl.LOCK_EX)
+        # Another process may have swept it away before it was locked.
+        if partial.exists():
+            return partial, file
+        file.close()
+
+
+@cache
+def _sweep(folder):
+    """Delete the partial files of processes that are gone, once for each folder."""
+    for partial in folder.glob(_PARTIAL.format("*")):
+        with suppress(OSError):
+            if fcntl:
+                with open(partial, "rb") as file:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    partial.unlink()
+            else:
+                partial.unlink()
+
+
 def write_whole(path: str | os.PathLike, content: bytes | str) -> None:
-    """Write bytes or text to a file that appears under its name only when whole."""
-    with written_whole(path) as partial:
-        if isinstance(content, bytes):
-            partial.write_bytes(content)
-        else:
-            partial.write_text(content)
+    """Write bytes, or text as UTF-8, to a file that appears under its name only when whole."""
+    with written_whole(path) as file:
+        file.write(content if isinstance(content, bytes) else content.encode())
+
+
+def require_free(path: str | os.PathLike, overwrite: bool) -> Path:
+    """The path of a file to write, if there is none yet or it may be replaced.
+
+    Raises
+    ------
+    FileExistsError
+        There is one, and `overwrite` is false.
+    """
+    path = Path(path)
+    if path.exists() and not overwrite:
+        raise FileExistsError(f"{path} is there already: allow to overwrite it, or write elsewhere")
+    return path

@@ -52,9 +52,10 @@ def read_windows(paths: list, window_size: int) -> np.ndarray:
 
     Raises
     ------
-    FileNotFoundError, ValueError
-        See `files.read_image`; names the file.
+    ValueError
+        Naming every file that is none, see `images.read_image`.
     """
+    wrong = []
     images = np.empty((len(paths), window_size, window_size, 3), np.uint8)
     resized = np.zeros(len(paths), bool)
     with tqdm(total=len(paths), desc="images", unit="image") as progress:
@@ -63,10 +64,15 @@ def read_windows(paths: list, window_size: int) -> np.ndarray:
             """Read the run of images that begins here."""
             run = range(first, min(first + _IMAGES_PER_RUN, len(paths)))
             for i in run:
-                images[i], resized[i] = read_window(paths[i], window_size)
+                try:
+                    images[i], resized[i] = read_window(paths[i], window_size)
+                except (OSError, ValueError) as error:
+                    wrong.append(str(error))
             progress.update(len(run))
 
         side_by_side(fill, range(0, len(paths), _IMAGES_PER_RUN))
+    if wrong:
+        raise ValueError("\n".join(sorted(wrong)))
     if resized.any():
         size, first = f"{window_size}x{window_size}", paths[resized.argmax()]
         print(f"resized to {size}: {resized.sum()} images, the first {first}")

@@ -1,69 +1,144 @@
-"""Videos in and out, a frame at a time.
+"""Videos in and out, a frame at a time, by FFmpeg's libraries.
 
-Reading, what is done with the frames, and writing overlap: each has a thread,
-and short queues between them keep memory flat however long the video is.
+Reading, what is done with the frames, and writing overlap: each has a thread, and short queues
+between them keep memory flat however long the video is. docs/videos.md explains what is kept.
 """
 
 from __future__ import annotations
 
+import bisect
 import contextlib
+import heapq
+import math
 import os
 import queue
-import subprocess
-import tempfile
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import partial
 from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
 
+import av
 import cv2
 import numpy as np
+from av.filter import Graph
+from av.video.reformatter import VideoReformatter
 
 from vehicle_detection.media.files import written_whole
+from vehicle_detection.media.sound import copies
 
-VIDEO_SUFFIXES = {".mp4", ".avi", ".mov", ".mkv", ".webm"}
+# Containers of cameras. Playlists and scripts, which make FFmpeg open other files, are none.
+_CONTAINERS = "mov,matroska,webm,avi,mpegts,mpeg,asf,flv,gif,ogg,dv,mxf"
+# Of videos, for folders and for what cannot be read; what a file is, its content says.
+VIDEO_SUFFIXES = {
+    ".mp4", ".m4v", ".mov", ".3gp", ".mkv", ".webm", ".avi", ".ts", ".mts", ".m2ts", ".mpg",
+    ".mpeg", ".vob", ".wmv", ".flv", ".gif", ".ogv", ".dv", ".mxf",
+}  # fmt: skip
+_MUXERS = {".mp4": "mp4", ".m4v": "mp4", ".mov": "mov", ".mkv": "matroska", ".avi": "avi"}
 _QUEUE_LENGTH = 8
+# Headers are often off by a frame or two.
+_INEXACT_HEADER = 2
+_IO_BYTES = 1 << 18
 # Decoding runs beside the search. Threads that take turns at one frame each need more
 # time in all than one thread does.
 _DECODERS = max(1, (os.cpu_count() or 1) // 2)
+# FFmpeg's numbers. It takes BT.601's matrix where a stream names none.
+UNSPECIFIED, BT601, _LIMITED_RANGE = 2, 5, 1
+_NO_MATRIX = {0, UNSPECIFIED}
 
 
 @dataclass(frozen=True)
 class VideoInfo:
-    """Size in pixels, frames a second, and how many frames the file promises."""
+    """What is known of a video before its frames are read.
+
+    Attributes
+    ----------
+    width, height : int
+        Of the upright picture, in pixels.
+    fps : float
+        Mean number of frames a second.
+    n_frames : int
+        What the file promises: good for a progress bar, and for nothing else. 0 if it is silent.
+    time_base : Fraction or None
+        Unit of the frames' times, in seconds; None for a frame.
+    sample_aspect_ratio : Fraction or None
+        Width of a pixel by its height.
+    colors : (int, int, int)
+        Matrix, primaries and transfer function, as FFmpeg numbers them [1]_.
+    metadata : dict of str to str
+        Such as creation time and place.
+
+    References
+    ----------
+    .. [1] ITU-T H.273, "Coding-independent code points for video signal type identification".
+    """
 
     width: int
     height: int
     fps: float
     n_frames: int
+    time_base: Fraction | None = None
+    sample_aspect_ratio: Fraction | None = None
+    colors: tuple = (UNSPECIFIED,) * 3
+    metadata: dict = field(default_factory=dict)
+
+
+class Frame(NamedTuple):
+    """A frame of a video.
+
+    Attributes
+    ----------
+    number : int
+        From 1. Frames that could not be decoded are counted.
+    time : int
+        In `VideoInfo.time_base`.
+    rgb : ndarray of uint8, shape (rows, columns, 3)
+        RGB, upright.
+    """
+
+    number: int
+    time: int
+    rgb: np.ndarray
+
+
+def is_video(path: str | os.PathLike) -> bool:
+    """Whether a file is a container of cameras that holds a picture."""
+    try:
+        with open(path, "rb") as file, _container(file) as container:
+            stream = container.streams.best("video")
+            return stream is not None and stream.width > 0
+    except av.FFmpegError:
+        return False
 
 
 def video_info(path: str | os.PathLike) -> VideoInfo:
-    """What a video's header says.
+    """What a video's header and first frame say.
 
     Raises
     ------
     FileNotFoundError, ValueError
         The file is missing; it is no readable video.
     """
-    capture = _open(path)
-    info = VideoInfo(
-        int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)),
-        int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
-        capture.get(cv2.CAP_PROP_FPS),
-        int(capture.get(cv2.CAP_PROP_FRAME_COUNT)),
-    )
-    capture.release()
-    return info
-
-
-def _open(path):
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"{path}: no such video")
-    capture = cv2.VideoCapture(str(path), cv2.CAP_ANY, [cv2.CAP_PROP_N_THREADS, _DECODERS])
-    if not capture.isOpened() or not capture.get(cv2.CAP_PROP_FPS):
-        raise ValueError(f"{path}: not a readable video: convert it to mp4 or replace it")
-    return capture
+    with _opened(path) as (container, stream), contextlib.closing(_decode(container, stream)) as it:
+        first = next((item for item in it if isinstance(item, av.VideoFrame)), None)
+        if first is None:
+            raise ValueError(f"{path}: not one frame can be decoded")
+        width, height = first.width, first.height
+        aspect = stream.sample_aspect_ratio or None
+        if _quarter_turns(first) % 2:
+            width, height = height, width
+            aspect = 1 / aspect if aspect else None
+        rate = stream.average_rate or stream.guessed_rate or Fraction(25)
+        n_frames = stream.frames
+        if not n_frames and container.duration:
+            n_frames = round(container.duration / av.time_base * rate)
+        colors = first.colorspace, first.color_primaries, first.color_trc
+        return VideoInfo(
+            width, height, float(rate), n_frames, stream.time_base, aspect,
+            tuple(int(color) for color in colors), dict(container.metadata),
+        )  # fmt: skip
 
 
 def read_frames(path: str | os.PathLike) -> Iterator:
@@ -72,31 +147,284 @@ def read_frames(path: str | os.PathLike) -> Iterator:
     Raises
     ------
     FileNotFoundError, ValueError
-        As `video_info`; or the video ends more than a second early.
+        As `video_info`; or a frame cannot be decoded: those behind it would have wrong numbers.
     """
-    info = video_info(path)
-    n_read = 0
-    for frame in _ahead(_decode(path)):
-        n_read += 1
-        yield frame
-    # Headers are often off by a frame or two, never by a second.
-    if n_read < info.n_frames - info.fps:
-        raise ValueError(
-            f"{path}: ends after {n_read} of {info.n_frames} frames: "
-            "the file is truncated, copy it again"
-        )
+    reader = VideoReader(path)
+    for frame in reader:
+        reader.require_whole()
+        yield frame.rgb
+    reader.require_whole()
 
 
-def _decode(path):
-    capture = _open(path)
-    try:
+class VideoReader:
+    """The frames of a video, once; what can be decoded is read, and the rest is told.
+
+    Parameters
+    ----------
+    path : path
+
+    Attributes
+    ----------
+    info : VideoInfo
+    lost : list of (int, int)
+        First and last number of frames that could not be decoded, as far as it was read.
+    """
+
+    def __init__(self, path: str | os.PathLike):
+        self._path = path
+        self.info = video_info(path)
+        self.lost: list = []
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield each `Frame`, read ahead by a thread."""
+        n_read = 0
+        for number, time, rgb, lost in _ahead(self._read()):
+            self.lost = lost
+            if rgb is not None:
+                n_read += 1
+                yield Frame(number, time, rgb)
+        if not n_read:
+            raise ValueError(f"{self._path}: not one frame can be decoded")
+
+    def require_whole(self) -> None:
+        """Raise ValueError if a frame was lost."""
+        if self.lost:
+            raise ValueError(f"{self._path}: {self.losses()}")
+
+    def losses(self) -> str:
+        """What was lost, in words."""
+        count = sum(last - first + 1 for first, last in self.lost)
+        where = ", ".join(f"{a}-{b}" if b > a else str(a) for a, b in self.lost[:5])
+        more = " and more" if len(self.lost) > 5 else ""
+        return f"{count} frame{'s' * (count > 1)} cannot be decoded: {where}{more}"
+
+    def _read(self):
+        """Yield number, time, frame and what is lost so far; the last has no frame."""
+        with _opened(self._path) as (container, stream):
+            numbers = _Numbers(stream)
+            start, to_rgb = _start(container, stream), _ToRGB()
+            for item in _decode(container, stream):
+                if isinstance(item, av.VideoFrame):
+                    number = numbers.of(item.pts)
+                    yield number, item.pts - start, to_rgb(item), list(numbers.lost)
+                else:
+                    numbers.note(item)
+            numbers.end()
+            yield None, None, None, list(numbers.lost)
+
+
+def _start(container, stream):
+    """When a video begins, in units of its stream."""
+    return round((container.start_time or 0) / (av.time_base * stream.time_base))
+
+
+def _container(file):
+    """An open file as a container.
+
+    FFmpeg is never given the name, of which it might make something else.
+    """
+    return av.open(
+        file, buffer_size=_IO_BYTES, metadata_errors="replace",
+        container_options={"format_whitelist": _CONTAINERS},
+    )  # fmt: skip
+
+
+@contextlib.contextmanager
+def _opened(path):
+    """Container and best video stream of a file."""
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"{path}: no such video")
+    with open(path, "rb") as file:
+        try:
+            container = _container(file)
+        except av.FFmpegError as error:
+            raise ValueError(f"{path}: not a readable video: {error.strerror}") from error
+        with container:
+            stream = container.streams.best("video")
+            if stream is None or not stream.codec_context:
+                raise ValueError(f"{path}: no video in it that can be decoded")
+            stream.thread_type = "AUTO"
+            stream.codec_context.thread_count = _DECODERS
+            yield container, stream
+
+
+class _Packet(NamedTuple):
+    """A compressed frame was handed to the decoder: to be shown or not, or in vain."""
+
+    time: int | None
+    is_hidden: bool
+    failed: bool
+
+
+class _BrokenOff(NamedTuple):
+    """The container ends where it should not."""
+
+
+def _decode(container, stream):
+    """Yield frames, deinterlaced, and between them what `_Numbers` must know."""
+    deinterlace = _Deinterlacer(stream)
+    correct = _IndexTimes(container, stream)
+    packets = container.demux(stream)
+    while True:
+        try:
+            packet = next(packets, None)
+        except av.FFmpegError:
+            yield _BrokenOff()
+            break
+        if packet is None:
+            break
+        if packet.size:
+            correct(packet)
+            time = packet.pts if packet.pts is not None else packet.dts
+            yield _Packet(time, packet.is_discard, False)
+        try:
+            yield from _with_times(deinterlace(packet.decode()), stream)
+        except av.FFmpegError:
+            yield _Packet(None, False, True)
+    yield from _with_times(deinterlace.rest(), stream)
+
+
+def _with_times(frames, stream):
+    """Frames that have one: the decoder knows none of what has no packet of its own."""
+    for frame in frames:
+        if frame.pts is None:
+            frame.pts = frame.dts
+        if frame.pts is not None:
+            yield frame
+
+
+class _IndexTimes:
+    """Times by the index of a file, where the container itself only counts what it finds.
+
+    AVI does: behind a damaged place every frame would come too early.
+    """
+
+    def __init__(self, container: Any, stream: Any):
+        entries = stream.index_entries if container.format.name == "avi" else ()
+        self._entries = sorted((entry.pos, entry.timestamp) for entry in entries)
+
+    def __call__(self, packet: Any) -> None:
+        """Put a packet where the index has what lies at its place in the file."""
+        i = bisect.bisect_right(self._entries, (packet.pos, math.inf))
+        if i and packet.dts is not None:
+            shift = self._entries[i - 1][1] - packet.dts
+            packet.dts += shift
+            packet.pts = None if packet.pts is None else packet.pts + shift
+
+
+class _Deinterlacer:
+    """Full frames from interlaced ones; others pass as they are."""
+
+    def __init__(self, stream: Any):
+        self._stream = stream
+        self._graph: Graph | None = None
+
+    def __call__(self, frames: list) -> Iterator:
+        for frame in frames:
+            if self._graph is None and frame.interlaced_frame:
+                self._begin()
+            if self._graph is None:
+                yield frame
+            else:
+                self._graph.push(frame)
+                yield from self._pulled()
+
+    def rest(self) -> Iterator:
+        """Yield the frames that were waiting for their successors."""
+        if self._graph is not None:
+            self._graph.push(None)
+            yield from self._pulled()
+
+    def _begin(self):
+        self._graph = Graph()
+        source = self._graph.add_buffer(template=self._stream)
+        # A frame for a frame, so that their numbers stay.
+        bwdif = self._graph.add("bwdif", "mode=send_frame:deint=interlaced")
+        sink = self._graph.add("buffersink")
+        source.link_to(bwdif)
+        bwdif.link_to(sink)
+        self._graph.configure()
+
+    def _pulled(self):
         while True:
-            read, frame = capture.read()
-            if not read:
+            try:
+                frame = self._graph.pull()
+            except (av.BlockingIOError, av.EOFError):
                 return
-            yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
-    finally:
-        capture.release()
+            # The filter counts in halves.
+            frame.pts = round(frame.pts * frame.time_base / self._stream.time_base)
+            yield frame
+
+
+class _Numbers:
+    """True numbers of frames: those that are lost count.
+
+    Where the container counts frames instead of time, gaps are frames. Elsewhere a packet is one,
+    and of as many as failed, those are lost whose time has passed.
+    """
+
+    def __init__(self, stream: Any):
+        rate = stream.average_rate or stream.guessed_rate
+        self._counts_frames = bool(rate) and stream.time_base * rate == 1
+        self._promised = stream.frames
+        self._waiting: list = []
+        self._n_failed = self._number = 0
+        self._last: int | None = None
+        self._is_broken_off = False
+        self.lost: list = []
+
+    def note(self, item: _Packet | _BrokenOff) -> None:
+        """Take in what the decoder was given, and where it failed."""
+        if isinstance(item, _BrokenOff):
+            self._is_broken_off = True
+        elif item.failed:
+            self._n_failed += 1
+        elif item.is_hidden:
+            self._promised -= 1
+        elif item.time is not None:
+            heapq.heappush(self._waiting, item.time)
+
+    def of(self, time: int) -> int:
+        """Number of the frame of this time."""
+        n_overdue = 0
+        while self._waiting and self._waiting[0] <= time:
+            n_overdue += heapq.heappop(self._waiting) < time
+        self._lose(min(n_overdue, self._n_failed))
+        if self._counts_frames and self._last is not None:
+            self._lose(max(0, time - self._last - 1 - n_overdue))
+        self._last = time
+        self._number += 1
+        return self._number
+
+    def end(self) -> None:
+        """There are no more frames."""
+        self._lose(min(len(self._waiting), self._n_failed))
+        missing = self._promised - self._number
+        if missing > (0 if self._is_broken_off else _INEXACT_HEADER):
+            self._lose(missing)
+
+    def _lose(self, count):
+        if count > 0:
+            self.lost.append((self._number + 1, self._number + count))
+            self._number += count
+            self._n_failed = max(0, self._n_failed - count)
+
+
+def _quarter_turns(frame):
+    """Quarter turns, counterclockwise, that make a frame upright."""
+    return round(frame.rotation / 90) % 4
+
+
+class _ToRGB:
+    """Decoded frames as RGB uint8, upright."""
+
+    def __init__(self):
+        self._convert = VideoReformatter()
+
+    def __call__(self, frame: av.VideoFrame) -> np.ndarray:
+        rgb = self._convert.reformat(frame, format="rgb24").to_ndarray()
+        turns = _quarter_turns(frame)
+        return np.ascontiguousarray(np.rot90(rgb, turns)) if turns else rgb
 
 
 def _ahead(items):
@@ -115,6 +443,8 @@ def _ahead(items):
             buffer.put(end)
         except Exception as error:
             buffer.put(error)
+        finally:
+            items.close()
 
     thread = threading.Thread(target=fill, daemon=True)
     thread.start()
@@ -134,100 +464,101 @@ def _ahead(items):
 
 
 @contextlib.contextmanager
-def video_writer(path: str | os.PathLike, info: VideoInfo, preset: str = "ultrafast") -> Iterator:
+def video_writer(
+    path: str | os.PathLike,
+    info: VideoInfo,
+    preset: str = "ultrafast",
+    source: str | os.PathLike | None = None,
+) -> Iterator:
     """A function that appends an RGB frame to a video; encoding runs beside it.
 
-    The file appears under its name when the block has succeeded.
+    The file appears under its name when the block has succeeded. It is H.264 with a colour sample
+    for two by two pixels, which every player shows; sides of odd length get a pixel more.
 
     Parameters
     ----------
     path : path
-        Its suffix picks the container.
+        Its suffix picks the container: mp4, m4v, mov, mkv or avi.
     info : VideoInfo
-        Size and frame rate.
+        Size, unit of time, shape of pixels, colours and metadata.
     preset : str
         Of libx264: "ultrafast" to "veryslow", a larger file or a longer wait.
+    source : path, optional
+        A video whose sound and subtitles are copied.
 
     Yields
     ------
     write : callable
-        Takes an ndarray of uint8, shape (height, width, 3), RGB; waits while
-        the encoder has enough to do.
+        Takes an ndarray of uint8, shape (height, width, 3), RGB, and its time, one unit more
+        than the last if there is none; waits while the encoder has enough to do.
 
     Raises
     ------
     ValueError
-        A frame of another size, or no frame at all.
+        A frame of another size, no frame at all, another suffix.
     OSError
         The encoder failed.
     """
-    n_written = 0
+    path = Path(path)
+    with written_whole(path) as file, encoding(file, path, info, preset, source) as write:
+        yield write
 
-    def write(frame):
+
+@contextlib.contextmanager
+def encoding(
+    file: BinaryIO,
+    path: Path,
+    info: VideoInfo,
+    preset: str = "ultrafast",
+    source: str | os.PathLike | None = None,
+) -> Iterator:
+    """As `video_writer`, into an open file that will have this path."""
+    n_written = 0
+    if path.suffix.lower() not in _MUXERS:
+        raise ValueError(f"{path}: videos are written as {', '.join(_MUXERS)}")
+
+    def write(frame, time=None):
         """Hand a frame to the encoder."""
         nonlocal n_written
         if frame.shape != (info.height, info.width, 3) or frame.dtype != np.uint8:
             raise ValueError(f"{path}: a frame of {frame.shape} does not fit the video")
-        encoder.put(frame)
+        encoder.put(frame, n_written if time is None else time)
         n_written += 1
 
-    with written_whole(path) as partial:
-        encoder = _Encoder(partial, Path(path), info, preset)
-        try:
-            yield write
-        finally:
-            encoder.close()
-        if not n_written:
-            raise ValueError(f"{path}: no frame to write")
-        encoder.require_success()
-
-
-def _ffmpeg():
-    """Path of the ffmpeg that moviepy uses too."""
-    # Imported here: only who writes a video needs it.
-    import imageio_ffmpeg
-
-    return imageio_ffmpeg.get_ffmpeg_exe()
+    encoder = _Encoder(file, path, info, preset, source)
+    try:
+        yield write
+    finally:
+        encoder.close()
+    if not n_written:
+        raise ValueError(f"{path}: no frame to write")
+    encoder.require_success()
 
 
 class _Encoder:
-    """The ffmpeg that moviepy brings along, and a thread that feeds it.
-
-    moviepy's own writer hands it RGB, and its conversion to the brightness
-    and colour that are encoded takes a third of the time of encoding.
+    """A thread that encodes frames into a file, and copies sound beside them.
 
     Parameters
     ----------
-    partial, path : Path
-        The file to write, and the name it will have.
-    info : VideoInfo
-    preset : str
+    file : binary file
+    path : Path
+        The name it will have.
+    info, preset, source
+        As `video_writer`.
     """
 
-    def __init__(self, partial: Path, path: Path, info: VideoInfo, preset: str):
+    def __init__(self, file: Any, path: Path, info: VideoInfo, preset: str, source: Any):
         self._path = path
-        # Colour is stored for two by two pixels.
-        self._is_even = info.width % 2 == info.height % 2 == 0
-        pixels = ["-pix_fmt", "yuv420p"] if self._is_even else ["-pix_fmt", "rgb24"]
-        command = [
-            _ffmpeg(), "-y", "-loglevel", "error", "-f", "rawvideo", *pixels,
-            "-s", f"{info.width}x{info.height}", "-r", str(info.fps), "-i", "-",
-            "-vcodec", "libx264", "-preset", preset, str(Path(partial).resolve()),
-        ]  # fmt: skip
-        # Not a pipe: nobody reads it before the end, and a full one stops ffmpeg.
-        self._complaints = tempfile.TemporaryFile()  # noqa: SIM115, `_feed` closes it
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._complaints
-        )
-        self._failure = None
-        self._frames = queue.Queue(_QUEUE_LENGTH)
-        self._thread = threading.Thread(target=self._feed, daemon=True)
+        self._failure: Exception | None = None
+        self._frames: queue.Queue = queue.Queue(_QUEUE_LENGTH)
+        work = partial(self._work, file, _MUXERS[path.suffix.lower()], info, preset, source)
+        self._thread = threading.Thread(target=work, daemon=True)
         self._thread.start()
 
-    def put(self, frame: np.ndarray) -> None:
+    def put(self, frame: np.ndarray, time: int) -> None:
         """Hand over a frame; waits while the queue is full."""
         self.require_success()
-        self._frames.put(frame)
+        self._frames.put((frame, time))
 
     def close(self) -> None:
         """Wait until all is written."""
@@ -239,29 +570,80 @@ class _Encoder:
         if self._failure is not None:
             raise OSError(f"{self._path}: cannot be encoded: {self._failure}")
 
-    def _feed(self):
-        """Write queued frames until None comes; once something went wrong, only take them."""
-        while (frame := self._frames.get()) is not None:
-            if self._failure is None:
-                try:
-                    self._write(frame)
-                except BrokenPipeError as error:
-                    self._failure = self._last_words() if self._process.wait() else repr(error)
-                except Exception as error:
-                    self._failure = repr(error)
-        with contextlib.suppress(BrokenPipeError):
-            self._process.stdin.close()
-        if self._process.wait() and self._failure is None:
-            self._failure = self._last_words()
-        self._complaints.close()
+    def _work(self, file, muxer, info, preset, source):
+        try:
+            with contextlib.ExitStack() as stack:
+                self._encode(file, muxer, info, preset, source, stack)
+        except Exception as error:
+            # Behind what FFmpeg says lies what the file system said.
+            is_callback = isinstance(error, av.error.PyAVCallbackError)
+            self._failure = error.__context__ if is_callback else error
+            # Whoever writes must not wait for a place in the queue.
+            while self._frames.get() is not None:
+                continue
 
-    def _write(self, frame):
-        if self._is_even:
-            frame = cv2.cvtColor(frame, cv2.COLOR_RGB2YUV_I420)
-        self._process.stdin.write(np.ascontiguousarray(frame))
+    def _encode(self, file, muxer, info, preset, source, stack):
+        first = self._frames.get()
+        if first is None:
+            return
+        options = {"movflags": "faststart"} if muxer in ("mp4", "mov") else {}
+        # The second pass of faststart reads what the first has written.
+        reopen = partial(_reopen, file.name)
+        output = stack.enter_context(
+            av.open(file, "w", muxer, options, buffer_size=_IO_BYTES, io_open=reopen)
+        )
+        output.metadata.update(info.metadata)
+        stream = _video_stream(output, info, preset)
+        copied = copies(source, output, stack) if source else None
+        to_planes = _ToPlanes(info.colors)
+        last, item = -1, first
+        while item is not None:
+            rgb, time = item
+            frame = to_planes(rgb)
+            # No two frames at once, whatever the source says.
+            frame.pts = last = max(time, last + 1)
+            frame.time_base = stream.codec_context.time_base
+            for packet in stream.encode(frame):
+                if copied:
+                    output.mux(copied.until(packet.dts * packet.time_base))
+                output.mux(packet)
+            item = self._frames.get()
+        output.mux(stream.encode(None))
+        if copied:
+            output.mux(copied.until(None))
 
-    def _last_words(self):
-        self._complaints.seek(0)
-        lines = self._complaints.read().decode(errors="replace").strip().splitlines()
-        # The first complaint is the cause of the others.
-        return lines[0][:500] if lines else f"ffmpeg ended with status {self._process.returncode}"
+
+def _reopen(name, url, flags, options):
+    return open(name, "rb")
+
+
+def _video_stream(output, info, preset):
+    """The stream to encode to."""
+    rate = Fraction(info.fps).limit_denominator(100_000)
+    stream = output.add_stream("libx264", rate=rate, options={"preset": preset, "crf": "23"})
+    stream.width, stream.height = info.width + info.width % 2, info.height + info.height % 2
+    stream.pix_fmt = "yuv420p"
+    context = stream.codec_context
+    context.time_base = stream.time_base = info.time_base or 1 / rate
+    if info.sample_aspect_ratio:
+        context.sample_aspect_ratio = info.sample_aspect_ratio
+    context.colorspace, context.color_primaries, context.color_trc = info.colors
+    context.color_range = _LIMITED_RANGE
+    return stream
+
+
+class _ToPlanes:
+    """RGB frames as luma and chroma, sides of even length."""
+
+    def __init__(self, colors: tuple):
+        self._matrix = BT601 if colors[0] in _NO_MATRIX else colors[0]
+        self._convert = VideoReformatter()
+
+    def __call__(self, rgb: np.ndarray) -> av.VideoFrame:
+        below, right = rgb.shape[0] % 2, rgb.shape[1] % 2
+        if below or right:
+            rgb = cv2.copyMakeBorder(rgb, 0, below, 0, right, cv2.BORDER_REPLICATE)
+        return self._convert.reformat(
+            av.VideoFrame.from_numpy_buffer(np.ascontiguousarray(rgb), "rgb24"),
+            format="yuv420p", dst_colorspace=self._matrix, dst_color_range=_LIMITED_RANGE,
+        )  # fmt: skip

@@ -12,6 +12,7 @@ import numpy as np
 from vehicle_detection.compiled.threads import share
 from vehicle_detection.media.calibration import load_calibration
 from vehicle_detection.media.drawing import draw_title, draw_vehicles
+from vehicle_detection.parameters import SMALLEST_SIDE, TALLEST_FRAME
 
 _ROWS_WORTH_A_THREAD = 100
 
@@ -110,7 +111,22 @@ class Viewer(ABC):
         return picture
 
 
-def require_same_size(rgb_frame: np.ndarray, shape: tuple | None) -> None:
-    """Raise ValueError if a frame is not of the shape of the frame before, None for none."""
+def require_frame(rgb_frame: np.ndarray, shape: tuple | None) -> None:
+    """Raise ValueError unless a frame can be searched and has the shape of the one before.
+
+    Parameters
+    ----------
+    rgb_frame : ndarray
+    shape : tuple or None
+        Of the frame before, None for none.
+    """
+    if rgb_frame.dtype != np.uint8 or rgb_frame.ndim != 3 or rgb_frame.shape[2] != 3:
+        raise ValueError(f"no RGB frame of bytes: {rgb_frame.dtype} of shape {rgb_frame.shape}")
     if shape not in (None, rgb_frame.shape):
         raise ValueError(f"a frame of {rgb_frame.shape} after one of {shape}")
+    rows, columns = rgb_frame.shape[:2]
+    if min(rows, columns) < SMALLEST_SIDE or rows > TALLEST_FRAME * columns:
+        raise ValueError(
+            f"no window fits a frame of {columns}x{rows}: both sides need {SMALLEST_SIDE} "
+            f"pixels, and the height is at most {TALLEST_FRAME} times the width"
+        )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehicle_detection.media.drawing import draw_boxes, draw_rated, draw_vehicles
-from vehicle_detection.media.viewer import Viewer, require_same_size
+from vehicle_detection.media.viewer import Viewer, require_frame
 from vehicle_detection.parameters import VIDEO_PARAMS, TwoStageParams
 from vehicle_detection.tracking.boxes import clip_to_frame, stack_boxes, touches_border
 from vehicle_detection.tracking.tracker import Tracker
@@ -118,7 +118,7 @@ class TwoStageVehicle(Viewer):
         ValueError
             The frame is of another size than the one before, or too small for any window.
         """
-        require_same_size(rgb_frame, self._frame_shape)
+        require_frame(rgb_frame, self._frame_shape)
         self._frame_shape = rgb_frame.shape
         levels = self._next_levels()
         proposals, _ = propose(rgb_frame, levels, self.detector.templates, self.params.scan)

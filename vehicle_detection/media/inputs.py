@@ -1,0 +1,162 @@
+"""What a command line names: images and videos, and where the results of each go."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from vehicle_detection.media.files import require_free
+from vehicle_detection.media.images import (
+    IMAGE_SUFFIXES,
+    image_format,
+    is_hidden,
+    natural_order,
+)
+from vehicle_detection.media.videos import VIDEO_SUFFIXES, is_video
+
+_HEADER_BYTES = 1 << 16
+
+
+@dataclass(frozen=True)
+class Source:
+    """An input and the names of its outputs.
+
+    Attributes
+    ----------
+    path : Path
+    is_video : bool
+        Else it is an image.
+    picture, rows : Path
+        The annotated copy, and the file of boxes.
+    split_screen : Path
+        Of a video.
+    """
+
+    path: Path
+    is_video: bool
+    picture: Path
+    rows: Path
+    split_screen: Path
+
+    @property
+    def outputs(self) -> list:
+        """All files that may be written for it."""
+        return [self.picture, self.rows, *([self.split_screen] if self.is_video else [])]
+
+
+def gather_inputs(paths: Iterable, out: str | os.PathLike) -> list:
+    """Images and videos that some paths name, folders being searched at any depth.
+
+    What a file is, its content says, not its name. Of folders, hidden files and what lies in
+    the output folder are left out; so is what is neither image nor video.
+
+    Parameters
+    ----------
+    paths : iterable of Path
+    out : path
+        Folder to write to. Folders that are searched keep their structure there, and where two
+        inputs have one name, the second gets a number.
+
+    Returns
+    -------
+    sources : list of Source
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        A path is missing, a folder holds neither image nor video, a file is neither.
+    """
+    out, sources, taken = Path(out), [], set()
+    for path in map(Path, paths):
+        found = list(_in_folder(path, out)) if path.is_dir() else [(path, Path(path.name))]
+        if not found:
+            raise FileNotFoundError(f"{path}: no images or videos in it")
+        for one, name in found:
+            source = _with_free_names(one, _kind(one), out / name, taken)
+            taken.update(map(_key, source.outputs))
+            sources.append(source)
+    return sources
+
+
+def _in_folder(folder, out):
+    """Yield the path of each image and video, and its name within the folder."""
+    skipped = out.resolve()
+    for path in sorted(folder.rglob("*"), key=natural_order):
+        name = path.relative_to(folder)
+        is_result = skipped != folder.resolve() and path.resolve().is_relative_to(skipped)
+        if path.is_file() and not is_hidden(name) and not is_result and _is_known(path):
+            yield path, name
+
+
+def _is_known(path):
+    """Whether a file is an image or a video, or is called like one and should be."""
+    return path.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES or _kind_by_content(path)
+
+
+def _kind_by_content(path):
+    """ "image", "video" or None."""
+    with open(path, "rb") as file:
+        if image_format(file.read(_HEADER_BYTES)):
+            return "image"
+    return "video" if is_video(path) else None
+
+
+def _kind(path):
+    """As `_kind_by_content`; what is called like one, but is none, fails when it is read."""
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file or folder")
+    if not path.is_file():
+        raise ValueError(f"{path}: is no regular file")
+    kind = _kind_by_content(path)
+    if kind is None:
+        if path.suffix.lower() not in IMAGE_SUFFIXES | VIDEO_SUFFIXES:
+            raise ValueError(f"{path}: neither an image nor a video that is known here")
+        kind = "image" if path.suffix.lower() in IMAGE_SUFFIXES else "video"
+    return kind
+
+
+def _with_free_names(path, kind, output, taken):
+    """The source with the first names that no other has."""
+    suffix = output.suffix if output.suffix.lower() in IMAGE_SUFFIXES else ".png"
+    for stem in _stems(output.stem):
+        beside = output.with_name
+        source = Source(
+            path, kind == "video", beside(stem + (".mp4" if kind == "video" else suffix)),
+            beside(f"{stem}.txt"), beside(f"{stem}_split.mp4"),
+        )  # fmt: skip
+        if not taken.intersection(map(_key, source.outputs)):
+            return source
+    raise AssertionError("there is always another number")
+
+
+def _stems(stem) -> Iterator[str]:
+    """Yield a name, then the name with numbers."""
+    yield stem
+    number = 2
+    while True:
+        yield f"{stem}_{number}"
+        number += 1
+
+
+def _key(path):
+    """What two names share that are one file, on systems that do not tell case apart too."""
+    return str(path).casefold()
+
+
+def require_free_outputs(sources: Iterable, overwrite: bool) -> None:
+    """Refuse outputs that would replace an input, or a file that was there before.
+
+    Raises
+    ------
+    FileExistsError
+        Naming the file.
+    """
+    sources = list(sources)
+    inputs = {source.path.resolve() for source in sources}
+    for source in sources:
+        for output in source.outputs:
+            if output.resolve() in inputs:
+                raise FileExistsError(f"{output}: is an input: use another --out")
+            require_free(output, overwrite)
