@@ -2,15 +2,17 @@
 
 import itertools
 import json
+import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conftest import ROOT
+from conftest import CASES, ROOT
 from vehicle_detection.evaluation.metrics import (
     drop_ignored,
     errors_by_frame,
@@ -18,7 +20,14 @@ from vehicle_detection.evaluation.metrics import (
     match,
     precision_recall,
 )
-from vehicle_detection.media.mot import Rows, frame_range, read_rows, rows_of
+from vehicle_detection.media.mot import (
+    Rows,
+    frame_range,
+    read_rows,
+    require_sizes,
+    require_within,
+    rows_of,
+)
 from vehicle_detection.tracking.boxes import pairwise_iou
 
 
@@ -192,12 +201,103 @@ def test_class_and_visibility_may_be_left_out(tmp_path):
     assert rows.only(rows.ids == 7).visibility.tolist() == [-1, 0.25]
 
 
+GOOD = "1,1,10,20,30,40,1\n"
+
+
 @pytest.mark.parametrize(
-    "text", ["1,1,0,0\n", "a,b,c,d,e,f,g\n", "1,nan,0,0,4,4,1\n", "1,1,0,0,4,4,1\n2,2\n"]
+    ("line", "message"),
+    [
+        ("1,1,0,0", "4 fields"),
+        ("1,1,10,5,20,5,30,5,40,5,1", "11 fields"),
+        ("1;2;10;20;30;40;1", "1 fields"),
+        ("# a comment", "1 fields"),
+        ("a,b,c,d,e,f,g", "'a' is no number"),
+        ("1,2,nan,0,4,4,1", "'nan' is no number"),
+        ("0x1,2,0,0,4,4,1", "'0x1' is no number"),
+        ("1_0,2,0,0,4,4,1", "'1_0' is no number"),
+        ("0,2,0,0,4,4,1", "frame 0: frames count from 1"),
+        ("1.5,2,0,0,4,4,1", "frame 1.5"),
+        ("1000000000,2,0,0,4,4,1", "frame 1000000000"),
+        ("1,1e30,0,0,4,4,1", "id 1e30"),
+        ("1,1,0,0,4,4,1", "id 1 twice in frame 1"),
+        ("1,2,10,20,-30,-40,1", "a box of -30 x -40"),
+        ("1,2,10,20,0,0,1", "a box of 0 x 0"),
+        ("1,2,-1e300,0,2e300,4,1", "a box of 2e300"),
+        ("1,2,0,0,4,4,0.5", "conf 0.5"),
+        ("1,2,0,0,4,4,-1", "conf -1"),
+    ],
 )
-def test_bad_rows_are_named(tmp_path, text):
-    (tmp_path / "boxes.txt").write_text(text)
-    with pytest.raises(ValueError, match=r"boxes\.txt: rows are to be"):
+def test_a_bad_line_is_named(tmp_path, line, message):
+    (tmp_path / "boxes.txt").write_text(GOOD + line + "\n")
+    with pytest.raises(ValueError, match=rf"boxes\.txt, line 2: .*{re.escape(message)}"):
+        read_rows(tmp_path / "boxes.txt", is_truth=True)
+
+
+def test_a_detection_may_have_any_score(tmp_path):
+    (tmp_path / "boxes.txt").write_text("1,1,0,0,4,4,0.5\n1,-1,0,0,4,4,-2\n1,-1,0,0,4,4,3\n")
+    assert read_rows(tmp_path / "boxes.txt").scores.tolist() == [0.5, -2, 3]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "ascii"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_editors_leave_their_marks(tmp_path, encoding, end):
+    text = (GOOD + " 2, 1, 10, 20, 30, 40, 0 \n\n").replace("\n", end)
+    (tmp_path / "boxes.txt").write_bytes(text.encode(encoding))
+    assert read_rows(tmp_path / "boxes.txt", is_truth=True).frames.tolist() == [1, 2]
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "latin-1"])
+def test_what_is_no_plain_text_is_said(tmp_path, encoding):
+    (tmp_path / "boxes.txt").write_bytes((GOOD + "\u00e4").encode(encoding))
+    with pytest.raises(ValueError, match=r"boxes\.txt, line \d"):
         read_rows(tmp_path / "boxes.txt")
     with pytest.raises(FileNotFoundError, match="no such file of boxes"):
         read_rows(tmp_path / "gone.txt")
+
+
+@given(content=st.binary(max_size=60) | st.text("0123456789,.-e\n ", max_size=60).map(str.encode))
+def test_no_content_breaks_the_reader(tmp_path_factory, content):
+    path = tmp_path_factory.getbasetemp() / "fuzzed.txt"
+    path.write_bytes(content)
+    try:
+        rows = read_rows(path, is_truth=True)
+    except ValueError as error:
+        assert "fuzzed.txt, line " in str(error)
+    else:
+        assert (rows.frames >= 1).all() and np.isfinite(rows.boxes).all()
+
+
+def test_corners_in_place_of_sizes_are_noticed(tmp_path):
+    rows = read_rows(CASES / "corners.gt.txt", is_truth=True)
+    with pytest.raises(ValueError, match="left,top,right,bottom instead of"):
+        require_sizes(rows, "corners.gt.txt")
+    truth = read_rows(ROOT / "videos/drive.gt.txt", is_truth=True)
+    require_sizes(truth, "drive.gt.txt")
+    require_within(truth, (720, 1280, 3), "drive.gt.txt")
+    with pytest.raises(ValueError, match="640x360: is this the truth of other footage"):
+        require_within(truth, (360, 640, 3), "drive.gt.txt")
+
+
+def test_frames_without_rows_take_no_time():
+    rows = rows_of([[(0, 0, 9, 9)]])
+    late = replace(rows, frames=np.array([5_000_000]))
+    figures = evaluate(late, late)
+    assert figures["recall"] == 1 and figures["frames"] == 5_000_000
+    misses, false_positives = errors_by_frame(late, rows, range(1, 5_000_001))
+    assert misses.sum() == 1 and misses[-1] == 1 and false_positives[0] == 1
+
+
+def test_json_is_valid_without_truth(tmp_path):
+    (tmp_path / "none.txt").write_text("\n")
+    (tmp_path / "found.txt").write_text("1,1,0,0,4,4,0.5\n")
+    command = [sys.executable, "-m", "vehicle_detection.evaluation", tmp_path / "none.txt"]
+    for detections in ("found.txt", "none.txt"):
+        result = subprocess.run(
+            [*command, tmp_path / detections, "--json"], cwd=ROOT, capture_output=True, check=True
+        )
+
+        def refuse(name):
+            raise AssertionError(name)
+
+        figures = json.loads(result.stdout, parse_constant=refuse)
+        assert figures["MOTA"] is None and figures["recall"] is None

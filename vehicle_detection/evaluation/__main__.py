@@ -5,15 +5,16 @@ python -m vehicle_detection.evaluation TRUTH DETECTIONS [--frames A:B[:STEP]] [-
 
 from __future__ import annotations
 
+from vehicle_detection import command_line  # isort: split
+
 import argparse
 import json
-import sys
 from pathlib import Path
 
 from vehicle_detection.evaluation.metrics import evaluate
 from vehicle_detection.evaluation.plots import draw_evaluation, table
 from vehicle_detection.media.files import written_whole
-from vehicle_detection.media.mot import all_frames, frame_range, read_rows
+from vehicle_detection.media.mot import all_frames, frame_range, read_rows, require_sizes
 
 
 def main() -> None:
@@ -29,21 +30,19 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.add_argument("--picture", type=Path, help="png to write curve and timeline to")
     arguments = parser.parse_args()
-    try:
-        if not 0 < arguments.iou <= 1:
-            raise ValueError(f"--iou lies between 0 and 1, not at {arguments.iou}")
-        truth, detections = read_rows(arguments.truth), read_rows(arguments.detections)
-        asked_for = arguments.frames
-        frames = frame_range(asked_for) if asked_for else all_frames(truth, detections)
-        figures = evaluate(truth, detections, frames, arguments.iou)
-        print(json.dumps(figures, indent=1) if arguments.json else table(figures))
-        if arguments.picture:
-            figure = draw_evaluation(truth, detections, frames, arguments.iou)
-            with written_whole(arguments.picture) as partial:
-                figure.savefig(partial, dpi=90)
-    except (OSError, ValueError) as error:
-        sys.exit(f"error: {error}")
+    if not 0 < arguments.iou <= 1:
+        raise ValueError(f"--iou lies between 0 and 1, not at {arguments.iou}")
+    truth, detections = read_rows(arguments.truth, is_truth=True), read_rows(arguments.detections)
+    require_sizes(truth, arguments.truth)
+    asked_for = arguments.frames
+    frames = frame_range(asked_for) if asked_for else all_frames(truth, detections)
+    figures = evaluate(truth, detections, frames, arguments.iou)
+    print(json.dumps(figures, indent=1, allow_nan=False) if arguments.json else table(figures))
+    if arguments.picture:
+        figure = draw_evaluation(truth, detections, frames, arguments.iou)
+        with written_whole(arguments.picture) as file:
+            figure.savefig(file, dpi=90)
 
 
 if __name__ == "__main__":
-    main()
+    command_line.run(main)

@@ -86,12 +86,18 @@ def accumulate(
     accumulator : motmetrics.MOTAccumulator
     """
     accumulator = motmetrics.MOTAccumulator()
-    for frame in frames:
+    for frame in _with_rows(truth, detections, frames):
         wanted, found = truth.frames == frame, detections.frames == frame
         distance = 1 - pairwise_iou(truth.boxes[wanted], detections.boxes[found])
         distance[distance > 1 - iou_threshold] = np.nan
         accumulator.update(truth.ids[wanted], detections.ids[found], distance, frameid=frame)
     return accumulator
+
+
+def _with_rows(truth, detections, frames):
+    """The frames of a range that hold any row: there may be millions without."""
+    numbers = np.union1d(truth.within(frames).frames, detections.within(frames).frames)
+    return numbers.tolist()
 
 
 _METRICS = {
@@ -151,6 +157,8 @@ def evaluate(
         figures |= dict.fromkeys(("IDF1", "identity switches", "fragmentations"))
         errors = figures["misses"] + figures["false positives"]
         figures["MOTA"] = 1 - errors / max(1, len(required.frames))
+    if not len(required.frames):
+        figures["MOTA"] = None
     found = _found(accumulator, required)
     figures["recall by height"] = _recall_by_height(required, found)
     figures["frames to first box"] = _entry_delays(required, found) if truth_has_identities else {}
@@ -159,7 +167,7 @@ def evaluate(
 
 def _number_or_none(value):
     """A float, None for what has no value."""
-    return None if np.isnan(value) else float(value)
+    return float(value) if np.isfinite(value) else None
 
 
 def _found(accumulator, required):
@@ -244,11 +252,11 @@ def errors_by_frame(
         truth.only(truth.scores == 1),
         drop_ignored(truth, detections, iou_threshold),
     )
-    errors = []
-    for frame in frames:
+    misses, false_positives = np.zeros((2, len(frames)), int)
+    for frame in _with_rows(truth, detections, frames):
         wanted = required.boxes[required.frames == frame]
         found = counted.boxes[counted.frames == frame]
         n_matched = len(match(wanted, found, iou_threshold)[0])
-        errors.append((len(wanted) - n_matched, len(found) - n_matched))
-    misses, false_positives = np.array(errors).T
+        i = frames.index(frame)
+        misses[i], false_positives[i] = len(wanted) - n_matched, len(found) - n_matched
     return misses, false_positives

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Sequence
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import matplotlib.pyplot as plt
@@ -64,6 +66,30 @@ def draw_evaluation(
     return figure
 
 
+def steps_from(video: str | os.PathLike, vehicle: Viewer, first_frame: int, count: int = 5) -> list:
+    """Step pictures of some frames, of the last ones if the video is shorter.
+
+    Parameters
+    ----------
+    video : path
+    vehicle : Viewer
+        Is reset first.
+    first_frame : int
+        The frame before the first to be shown.
+    count : int
+
+    Returns
+    -------
+    rows : list of (str, list)
+        Title and `Viewer.step_pictures`, as `figures.show_steps` takes them.
+    """
+    vehicle.reset()
+    last = deque(maxlen=count)
+    for number, frame in enumerate(islice(read_frames(video), first_frame + count), start=1):
+        last.append((f"frame {number}", frame, vehicle.detect(frame)))
+    return [(title, vehicle.step_pictures(frame, found)) for title, frame, found in last]
+
+
 def show_worst(
     video: str | os.PathLike, vehicle: Viewer, truth: Rows, errors: np.ndarray, count: int = 6
 ) -> Figure | None:
@@ -108,7 +134,7 @@ def side_by_side(video: str | os.PathLike, vehicles: dict, frames: Sequence) -> 
     vehicles : dict of str to Viewer
         Are reset first.
     frames : sequence of int
-        Numbers of the frames to draw, from 1.
+        Numbers of the frames to draw, from 1; the last one if the video is shorter.
 
     Returns
     -------
@@ -120,10 +146,14 @@ def side_by_side(video: str | os.PathLike, vehicles: dict, frames: Sequence) -> 
     for vehicle in vehicles.values():
         vehicle.reset()
     pictures, detections = [], {name: [] for name in vehicles}
+
+    def drawn():
+        """The newest frame with what each detector has found."""
+        return [draw_vehicles(frame, own[-1].boxes, own[-1].ids) for own in detections.values()]
+
     for number, frame in enumerate(read_frames(video), start=1):
         for name, vehicle in vehicles.items():
-            found = vehicle.detect(frame)
-            detections[name].append(found)
-            if number in frames:
-                pictures.append(draw_vehicles(frame, found.boxes, found.ids))
-    return pictures, detections
+            detections[name].append(vehicle.detect(frame))
+        if number in frames:
+            pictures += drawn()
+    return pictures or drawn(), detections

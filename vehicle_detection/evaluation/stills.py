@@ -8,15 +8,16 @@ order of names.
 
 from __future__ import annotations
 
+from vehicle_detection import command_line  # isort: split
+
 import argparse
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from vehicle_detection.media.images import find_images, read_image
-from vehicle_detection.media.mot import read_rows
+from vehicle_detection.media.mot import read_rows, require_within
 from vehicle_detection.parameters import STILL_PARAMS
 from vehicle_detection.tracking.boxes import box_areas, pairwise_iou, pairwise_overlap
 from vehicle_detection.two_stage.vehicle import SHIPPED_DETECTOR, TwoStageVehicle
@@ -139,11 +140,14 @@ def score_folder(
     -------
     figures : StillFigures
     """
-    truth, paths, counted = read_rows(folder / "gt.txt"), find_images(folder / "images"), []
+    truth = read_rows(folder / "gt.txt", is_truth=True)
+    paths, counted = find_images(folder / "images"), []
     required = truth.scores == 1
     for number, path in enumerate(paths, start=1):
         vehicle.reset()
-        found = vehicle.detect(read_image(path))
+        img = read_image(path)
+        require_within(truth.within(range(number, number + 1)), img.shape, folder / "gt.txt")
+        found = vehicle.detect(img)
         own = truth.frames == number
         boxes = truth.boxes[own & required], truth.boxes[own & ~required]
         counted.append(match_by_score(*boxes, found.candidates, found.candidate_scores))
@@ -184,12 +188,9 @@ def main() -> None:
     )
     parser.add_argument("--param", type=Path, default=SHIPPED_DETECTOR, help="default: shipped")
     arguments = parser.parse_args()
-    try:
-        vehicle = TwoStageVehicle(None, arguments.param, STILL_PARAMS)
-        print(table({folder.name: score_folder(folder, vehicle) for folder in arguments.folders}))
-    except (OSError, ValueError) as error:
-        sys.exit(f"error: {error}")
+    vehicle = TwoStageVehicle(None, arguments.param, STILL_PARAMS)
+    print(table({folder.name: score_folder(folder, vehicle) for folder in arguments.folders}))
 
 
 if __name__ == "__main__":
-    main()
+    command_line.run(main)

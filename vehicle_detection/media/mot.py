@@ -12,11 +12,21 @@ References
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+_FIELDS = "frame,id,left,top,width,height,score"
+_N_FIELDS, _MOST_FIELDS = 9, 10
+# No spelling that Python alone would take for a number.
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+# Four days of video. Whole numbers up to the other are exact as floats.
+_MOST_FRAMES, _LARGEST = 10_000_000, 2**40
+# Fewer boxes may all lie in the upper left corner.
+_ENOUGH_ROWS = 10
 
 
 @dataclass(frozen=True)
@@ -46,7 +56,9 @@ class Rows:
 
     def within(self, frames: range) -> Rows:
         """The rows of a range of frames."""
-        return self.only(np.isin(self.frames, frames))
+        after = self.frames - frames.start
+        inside = (after >= 0) & (self.frames < frames.stop) & (after % frames.step == 0)
+        return self.only(inside)
 
     def with_unique_ids(self) -> Rows:
         """The same, with an identity of its own, below zero, for each row that has none."""
@@ -72,31 +84,117 @@ def all_frames(truth: Rows, detections: Rows) -> range:
     return range(1, int(last) + 1)
 
 
-def read_rows(path: str | os.PathLike) -> Rows:
+def read_rows(path: str | os.PathLike, is_truth: bool = False) -> Rows:
     """Read a MOTChallenge file.
+
+    Parameters
+    ----------
+    path : path
+    is_truth : bool
+        Then conf must be 0 or 1.
 
     Raises
     ------
     FileNotFoundError, ValueError
-        The file is missing; a row is not seven or more numbers.
+        The file is missing; a line is not seven to ten numbers, or they mean nothing. The
+        message names the line.
     """
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file of boxes")
-    lines = [line for line in path.read_text().splitlines() if line.strip()]
+    content = path.read_bytes()
     try:
-        rows = [[float(v) for v in line.split(",")] for line in lines]
-        if min(map(len, rows), default=7) < 7:
-            raise ValueError("fewer than seven")
-        # Class and visibility may be left out.
-        values = np.array([(row + [-1, -1])[:9] for row in rows]).reshape(-1, 9)
-        if not np.isfinite(values).all():
-            raise ValueError("not a finite number")
-    except ValueError as error:
-        raise ValueError(f"{path}: rows are to be frame,id,left,top,width,height,score") from error
+        # Some programs put a mark at the beginning.
+        lines = content.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        number = content[: error.start].count(b"\n") + 1
+        raise ValueError(f"{path}, line {number}: not plain text: save it as UTF-8") from error
+    rows, seen = [], set()
+    for number, line in enumerate(lines, start=1):
+        if line.strip():
+            try:
+                rows.append(_row(line, is_truth))
+                _require_new(rows[-1], seen)
+            except ValueError as error:
+                raise ValueError(f"{path}, line {number}: {error}") from error
+    values = np.array(rows).reshape(-1, _N_FIELDS)
     boxes = np.hstack([values[:, 2:4], values[:, 2:4] + values[:, 4:6]])
-    frames, ids = values[:, :2].astype(int).T
+    frames, ids = values[:, :2].astype(np.int64).T
     return Rows(frames, ids, boxes, scores=values[:, 6], visibility=values[:, 8])
+
+
+def _row(line, is_truth):
+    """Nine numbers of a line; class and visibility may be left out."""
+    fields = [field.strip() for field in line.split(",")]
+    if not 7 <= len(fields) <= _MOST_FIELDS:
+        raise ValueError(f"{len(fields)} fields instead of {_FIELDS}")
+    for field in fields:
+        if not _NUMBER.fullmatch(field):
+            raise ValueError(f"{field!r} is no number: a line is {_FIELDS}")
+    values = [float(field) for field in fields]
+    frame, identity, left, top, width, height, score = values[:7]
+    if not 1 <= frame <= _MOST_FRAMES or frame != int(frame):
+        raise ValueError(f"frame {fields[0]}: frames count from 1 to {_MOST_FRAMES}")
+    if abs(identity) > _LARGEST or identity != int(identity):
+        raise ValueError(f"id {fields[1]}: it is a whole number, -1 for none")
+    if not (width > 0 and height > 0 and max(map(abs, (left, top, width, height))) <= _LARGEST):
+        raise ValueError(f"a box of {fields[4]} x {fields[5]} pixels at {fields[2]}, {fields[3]}")
+    if is_truth and score not in (0, 1):
+        raise ValueError(f"conf {fields[6]}: of truth it is 1, or 0 for an ignore region")
+    return (values + [-1, -1])[:_N_FIELDS]
+
+
+def _require_new(row, seen):
+    """Raise ValueError if the vehicle has a box in this frame already."""
+    frame, identity = row[:2]
+    if identity >= 0 and (frame, identity) in seen:
+        raise ValueError(f"id {identity:.0f} twice in frame {frame:.0f}")
+    seen.add((frame, identity))
+
+
+def require_sizes(rows: Rows, path: str | os.PathLike) -> None:
+    """Notice rows of left, top, right, bottom.
+
+    Among vehicles in a frame, some are narrower than their distance from the left, or lower
+    than that from the top.
+
+    Raises
+    ------
+    ValueError
+        None is.
+    """
+    size = rows.boxes[:, 2:] - rows.boxes[:, :2]
+    if len(size) >= _ENOUGH_ROWS and (size > rows.boxes[:, :2]).all():
+        raise ValueError(
+            f"{path}: in every line the third field is below the fifth and the fourth below the "
+            "sixth: these seem to be left,top,right,bottom instead of left,top,width,height"
+        )
+
+
+def require_within(rows: Rows, frame_shape: tuple, path: str | os.PathLike) -> None:
+    """Notice the truth of another frame size.
+
+    Parameters
+    ----------
+    rows : Rows
+    frame_shape : (rows, columns, ...)
+    path : path
+        Named in the message.
+
+    Raises
+    ------
+    ValueError
+        A required box lies with its centre outside of the frame.
+    """
+    required = rows.boxes[rows.scores == 1]
+    centers = (required[:, :2] + required[:, 2:]) / 2
+    height, width = frame_shape[:2]
+    outside = ((centers < 0) | (centers > (width, height))).any(axis=1)
+    if outside.any():
+        raise ValueError(
+            f"{path}: a box around {centers[outside][0].round().tolist()} in frames of "
+            f"{width}x{height}: is this the truth of other footage?"
+        )
 
 
 def rows_of(boxes: np.ndarray) -> Rows:
