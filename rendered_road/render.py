@@ -12,7 +12,8 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numba import njit
+
+from vehicle_detection.compiled.cache import compiled
 
 LANE_WIDTH = 3.7
 _FAR = 420.0
@@ -657,7 +658,7 @@ def _blend(color, other, share):
     return _mix(color, other, np.asarray(share, np.float32))
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _mix(color, other, share):
     mixed = np.empty(color.shape, np.float32)
     for row in range(color.shape[0]):
@@ -930,7 +931,7 @@ def _draw_strip(view, picture, x, z, heights, color):
 # ---------------------------------------------------------- drawing vehicles
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _rasterise(screen, inverse_depth, attributes, materials, canvas):
     """Nearest triangle of every pixel, attributes interpolated in perspective.
 
@@ -1350,7 +1351,7 @@ def _sensor(world, picture, time):
     return _develop(frame, np.float32(world.exposure), noise)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _develop(frame, exposure, noise):
     """A fixed tone curve, contrast in the middle and soft in the lights; noise; 8 bits."""
     developed = np.empty(frame.shape, np.uint8)

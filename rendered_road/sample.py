@@ -6,8 +6,9 @@ writes scenes and training images of both classes cut from them, six test images
 chessboard photos, and the true boxes. The same seed gives the same pictures.
 """
 
+from vehicle_detection import command_line  # isort: split
+
 import argparse
-import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +25,7 @@ from rendered_road.render import (
     perspective_through_lens,
     render,
 )
-from vehicle_detection.compiled.threads import in_parallel
+from vehicle_detection.compiled.processes import in_parallel
 from vehicle_detection.media.files import write_whole
 from vehicle_detection.media.images import write_image
 from vehicle_detection.media.videos import VideoInfo, video_writer
@@ -268,6 +269,13 @@ def cut_scene(seed, scene="motorway"):
     return frame, truth, (vehicles, other_cuts(frame, truth, rng, max(6, len(vehicles))))
 
 
+def remove_numbered(folder):
+    """Delete the images that an earlier run wrote here: more of them would lie beside the new."""
+    for path in folder.glob("[0-9]*.*"):
+        if path.stem.isdecimal() and path.suffix in (".jpg", ".png"):
+            path.unlink()
+
+
 def write_training_images(folder, seed=0, scenes=N_SCENES, jobs=-1, scene="motorway"):
     """Write vehicles/, non-vehicles/ and the scenes they are from, and say how many.
 
@@ -282,6 +290,8 @@ def write_training_images(folder, seed=0, scenes=N_SCENES, jobs=-1, scene="motor
         Of `SCENES`.
     """
     counts, rows = {"vehicles": 0, "non-vehicles": 0}, []
+    for name in ("scenes", *counts):
+        remove_numbered(folder / name)
     seeds = list(range(seed + 1000, seed + 1000 + scenes))
     found = in_parallel(partial(cut_scene, scene=scene), seeds, jobs, scene)
     for number, (frame, truth, images) in enumerate(found, start=1):
@@ -393,13 +403,10 @@ def parse_arguments(arguments=None):
 def main():
     """Run the command line."""
     arguments = parse_arguments()
-    try:
-        for part in arguments.only:
-            PARTS[part](arguments)
-    except (OSError, ValueError) as error:
-        sys.exit(f"error: {error}")
+    for part in arguments.only:
+        PARTS[part](arguments)
     print(f"wrote {arguments.out}")
 
 
 if __name__ == "__main__":
-    main()
+    command_line.run(main)

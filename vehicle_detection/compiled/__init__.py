@@ -1,1 +1,1 @@
-"""What is fast: HOG, sums over windows, threads."""
+"""What is fast: HOG, sums over windows; threads, processes, and machine code that is kept."""

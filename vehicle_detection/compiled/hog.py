@@ -20,11 +20,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from vehicle_detection.compiled.cache import compiled
 from vehicle_detection.compiled.threads import share
 
-_COMPILE = dict(cache=True, nogil=True, error_model="numpy")
+_COMPILE = dict(error_model="numpy")
 # Square roots as fixed point numbers: differences are then exact, and 2**26
 # is the largest power of two for which they fit 32 bits.
 _FIXED_POINT = 2.0**26
@@ -132,7 +132,7 @@ def _vote_exactly(unsettled, histograms):
     np.add.at(histograms, (*cells, orientation), np.hypot(gradient_row, gradient_column))
 
 
-@njit(**_COMPILE)
+@compiled(**_COMPILE)
 def _look_up_roots(pixels, roots):
     """Roots of a row of pixels, with one more at each end that makes the end's gradient 0."""
     for i in range(pixels.size):
@@ -143,7 +143,7 @@ def _look_up_roots(pixels, roots):
 
 # No value is infinite or not a number here, and bins near an edge are settled
 # elsewhere, so the compiler may fuse and reorder.
-@njit(**_COMPILE, fastmath={"contract", "nnan", "nsz"})
+@compiled(**_COMPILE, fastmath={"contract", "nnan", "nsz"})
 def _gradients(neighbours, magnitudes, bins, orientations):
     """Magnitude and orientation bin of a run of pixels; one SIMD loop.
 
@@ -178,7 +178,7 @@ def _gradients(neighbours, magnitudes, bins, orientations):
         bins[i] = _UNSETTLED if near_edge else np.int32(position)
 
 
-@njit(**_COMPILE)
+@compiled(**_COMPILE)
 def _precise_gradient(img, channel, row, column):
     """Gradient along rows and columns of a pixel that is not on the border."""
     y = _ROOT[img[row + 1, column, channel]] - _ROOT[img[row - 1, column, channel]]
@@ -186,7 +186,7 @@ def _precise_gradient(img, channel, row, column):
     return y, x
 
 
-@njit(**_COMPILE)
+@compiled(**_COMPILE)
 def _precise_bin(y, x, orientations):
     """Bin in double precision, unless rounding alone decides it."""
     position = math.atan2(y, x) / math.pi * orientations
@@ -197,7 +197,7 @@ def _precise_bin(y, x, orientations):
     return np.int32(position)
 
 
-@njit(**_COMPILE)
+@compiled(**_COMPILE)
 def _vote(img, pix_per_cell, first_cell_row, last_cell_row, histograms, unsettled):
     """Add the magnitude of the pixels of some rows to their cells; list those left out.
 
@@ -245,7 +245,7 @@ def _vote(img, pix_per_cell, first_cell_row, last_cell_row, histograms, unsettle
     return n_unsettled
 
 
-@njit(**_COMPILE)
+@compiled(**_COMPILE)
 def _normalise_blocks(cells, first, last, blocks):
     """L2-Hys of the block rows first..last: unit length, clipped at 0.2, unit length again."""
     eps_squared = np.float32(1e-5**2)

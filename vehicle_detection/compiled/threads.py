@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
@@ -26,12 +26,13 @@ class _ThisThread(threading.local):
 _THIS_THREAD = _ThisThread()
 
 
-def _always_within():
+def work_alone() -> None:
+    """From now on, calls of this thread are done where they are made."""
     _THIS_THREAD.is_within = True
 
 
 # The caller works too.
-_THREADS = ThreadPoolExecutor(max(1, _N_CORES - 1), initializer=_always_within)
+_THREADS = ThreadPoolExecutor(max(1, _N_CORES - 1), initializer=work_alone)
 
 
 def side_by_side(function: Callable, items: Sequence) -> list:
@@ -86,24 +87,3 @@ def share(function: Callable, length: int, n_parts: int) -> list:
     n_parts = max(1, min(_N_CORES, n_parts))
     edges = [length * i // n_parts for i in range(n_parts + 1)]
     return side_by_side(lambda part: function(*part), list(pairwise(edges)))
-
-
-def in_parallel(function: Callable, items: list, jobs: int, title: str) -> Iterator:
-    """Yield function(item) of all items in order, from several processes, with a progress bar.
-
-    Parameters
-    ----------
-    function : callable
-        Takes an item; picklable.
-    items : list
-    jobs : int
-        Processes; -1 for one a core.
-    title : str
-        Of the progress bar.
-    """
-    # Imported here: only training, rendering and experiments need it.
-    from joblib import Parallel, delayed
-    from tqdm.auto import tqdm
-
-    results = Parallel(n_jobs=jobs, return_as="generator")(delayed(function)(i) for i in items)
-    yield from tqdm(results, title, len(items))

@@ -6,18 +6,18 @@ What neighbouring windows share is read in place instead of being copied for eac
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from vehicle_detection.compiled.cache import compiled
 from vehicle_detection.compiled.threads import share
 
-_COMPILE = dict(cache=True, nogil=True, error_model="numpy")
+_COMPILE = dict(error_model="numpy")
 # Several terms of a sum at once: no order of them is the right one.
 _SUMS = {"reassoc", "contract", "nsz"}
 # Products that take longer than waking a thread.
 _WORTH_A_THREAD = 800_000
 
 
-@njit(**_COMPILE)
+@compiled(**_COMPILE)
 def tile_histograms(
     channel: np.ndarray, bin_of_value: np.ndarray, n_bins: int, tile: int
 ) -> np.ndarray:
@@ -82,7 +82,7 @@ def correlate(cells: np.ndarray, weights: np.ndarray, step: int, shape: tuple) -
     return sums
 
 
-@njit(**_COMPILE, fastmath=_SUMS)
+@compiled(**_COMPILE, fastmath=_SUMS)
 def _correlate(cells, weights, step, first, last, sums):
     """`correlate` for the window rows first..last.
 
