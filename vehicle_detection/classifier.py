@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import pickle
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 import sklearn
 from sklearn.preprocessing import StandardScaler
+from sklearn.svm import SVC
 
 from vehicle_detection.media import safe_pickle
 from vehicle_detection.media.files import write_whole
 from vehicle_detection.parameters import FeatureParams
 
 FORMAT_VERSION = 1
+_KERNELS = ("linear", "poly", "rbf", "sigmoid")
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,7 @@ def save_classifier(classifier: Any, path: str | os.PathLike) -> None:
         "scaler": classifier.scaler,
         "svm": classifier.svm,
     }
-    write_whole(path, pickle.dumps(content))
+    write_whole(path, safe_pickle.dumps(content))
 
 
 def load_classifier(path: str | os.PathLike, trusted: Sequence = ()) -> Classifier:
@@ -105,9 +107,14 @@ def load_classifier(path: str | os.PathLike, trusted: Sequence = ()) -> Classifi
     FileNotFoundError
         There is no such file.
     ValueError
-        It is no parameter file, or one of another format, another scikit-learn, of features
-        of another length, or of numbers that are not finite; or it names a class that is not
-        admitted.
+        It is no parameter file, or one of another format, of features of another length, or of
+        numbers that are not finite; it is damaged, or names a class that is not admitted; its
+        SVM is not linear and of another scikit-learn.
+
+    Warns
+    -----
+    UserWarning
+        It was made with another scikit-learn.
     """
     path = Path(path)
     again = "run train.py to make it anew"
@@ -115,37 +122,75 @@ def load_classifier(path: str | os.PathLike, trusted: Sequence = ()) -> Classifi
         raise FileNotFoundError(f"{path}: no such parameter file: {again}")
     # What is no such file can fail in any way whatever.
     try:
-        content = safe_pickle.loads(path.read_bytes(), trusted)
-        version, made_with = content["format_version"], content["sklearn_version"]
-    except pickle.UnpicklingError as error:
-        raise ValueError(f"{path}: not a parameter file of train.py: {error}: {again}") from error
+        return _classifier_of(safe_pickle.loads(path.read_bytes(), trusted), path)
     except Exception as error:
-        raise ValueError(f"{path}: not a parameter file of train.py: {again}") from error
-    if version != FORMAT_VERSION:
-        raise ValueError(f"{path}: format {version}, not {FORMAT_VERSION}: {again}")
-    if made_with != sklearn.__version__:
-        raise ValueError(
-            f"{path}: made with scikit-learn {made_with}, "
-            f"installed is {sklearn.__version__}: {again}"
-        )
-    try:
-        params = FeatureParams(**content["params"])
-        classifier = Classifier(content["svm"], content["scaler"], params, content["data_counts"])
-        _require_sound(classifier, content["n_features"])
-    except (AttributeError, KeyError, TypeError) as error:
-        raise ValueError(f"{path}: not a parameter file of train.py: {again}") from error
-    except ValueError as error:
         raise ValueError(f"{path}: not a parameter file of train.py: {error}: {again}") from error
-    return classifier
 
 
-def _require_sound(classifier, n_features):
-    """Raise ValueError unless lengths agree and numbers are finite, scales above 0."""
-    scaler, svm = classifier.scaler, classifier.svm
-    lengths = {n_features, classifier.params.n_features, scaler.n_features_in_, svm.n_features_in_}
-    if len(lengths) > 1:
-        raise ValueError(f"feature lengths {sorted(lengths)} do not agree")
-    numbers = [scaler.mean_, scaler.scale_, svm.intercept_]
-    numbers.append(svm.coef_ if hasattr(svm, "coef_") else svm.support_vectors_)
-    if not all(np.isfinite(values).all() for values in numbers) or (scaler.scale_ <= 0).any():
-        raise ValueError("numbers that are not finite, or scales that are not above 0")
+def _classifier_of(content, path):
+    """The classifier of the dict that a file holds, once it is checked."""
+    version, made_with = content["format_version"], content["sklearn_version"]
+    if type(version) is not int or version != FORMAT_VERSION:
+        raise ValueError(f"format {version}, not {FORMAT_VERSION}")
+    params = FeatureParams(**content["params"])
+    if content["n_features"] != params.n_features:
+        raise ValueError(f"feature lengths {content['n_features']} and {params.n_features}")
+    scaler, svm = content["scaler"], content["svm"]
+    _require_sound_scaler(scaler, params.n_features)
+    safe_pickle.require_plain(svm)
+    if isinstance(svm, SVC):
+        _require_sound_svc(svm, params.n_features)
+    if hasattr(svm, "coef_"):
+        _require_array(svm.coef_, (1, params.n_features))
+        _require_array(svm.intercept_, (1,))
+    if made_with != sklearn.__version__:
+        _accept_version(svm, made_with, path)
+    svm.decision_function(np.zeros((1, params.n_features)))
+    counts = {str(name): int(count) for name, count in content["data_counts"].items()}
+    return Classifier(svm, scaler, params, counts)
+
+
+def _accept_version(svm, made_with, path):
+    """Of a linear SVM of another scikit-learn, the arrays are all that is needed."""
+    if not hasattr(svm, "coef_"):
+        raise ValueError(f"made with scikit-learn {made_with}, installed is {sklearn.__version__}")
+    warnings.warn(
+        f"{path}: made with scikit-learn {made_with}, installed is {sklearn.__version__}; "
+        "the SVM is linear, so its weights serve",
+        stacklevel=2,
+    )
+
+
+def _require_array(values, shape):
+    """Raise ValueError unless these are finite numbers of this shape."""
+    if not isinstance(values, np.ndarray) or values.dtype.kind != "f" or values.shape != shape:
+        raise ValueError(f"no array of numbers of shape {shape}")
+    if not np.isfinite(values).all():
+        raise ValueError("numbers that are not finite")
+
+
+def _require_sound_scaler(scaler, n_features):
+    if type(scaler) is not StandardScaler:
+        raise ValueError("no StandardScaler in it")
+    safe_pickle.require_plain(scaler)
+    if scaler.n_features_in_ != n_features:
+        raise ValueError(f"feature lengths {scaler.n_features_in_} and {n_features} do not agree")
+    _require_array(scaler.mean_, (n_features,))
+    _require_array(scaler.scale_, (n_features,))
+    if (scaler.scale_ <= 0).any():
+        raise ValueError("scales that are not above 0")
+
+
+def _require_sound_svc(svm, n_features):
+    """Raise ValueError unless libsvm, which looks at no bounds, can use it."""
+    n_vectors = len(svm.support_vectors_)
+    if svm.kernel not in _KERNELS or svm._sparse or svm.probability not in (False, "deprecated"):
+        raise ValueError(f"an SVC with kernel {svm.kernel} is not read")
+    _require_array(svm.support_vectors_, (n_vectors, n_features))
+    _require_array(svm._dual_coef_, (1, n_vectors))
+    _require_array(svm._intercept_, (1,))
+    _require_array(np.atleast_1d(np.asarray(svm._gamma, float)), (1,))
+    if svm._n_support.shape != (2,) or svm._n_support.min() < 0:
+        raise ValueError("support vectors of other than two classes")
+    if len(svm.support_) != n_vectors or svm._n_support.sum() != n_vectors:
+        raise ValueError("numbers of support vectors do not agree")

@@ -1,5 +1,7 @@
 """Kernel machines, and the file of a detector."""
 
+import tracemalloc
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +17,7 @@ from vehicle_detection.two_stage.model import (
     load_detector,
     save_detector,
 )
-from vehicle_detection.two_stage.refinement import merge, refine
+from vehicle_detection.two_stage.refinement import merge, move_edges, refine
 
 
 def refined(img, boxes, detector):
@@ -77,5 +79,73 @@ def test_what_is_no_detector_is_named(tmp_path):
     with pytest.raises(ValueError, match=f"format 0, not {FORMAT_VERSION}"):
         load_detector(path)
     np.savez(path, format_version=FORMAT_VERSION)
-    with pytest.raises(ValueError, match=r"detector\.npz: not a detector.*template0"):
+    with pytest.raises(ValueError, match=r"detector\.npz: not a detector.*sha256"):
         load_detector(path)
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "value", "message"),
+    [
+        ("scorer", "weights", np.nan, "not finite, or huge"),
+        ("scorer", "gamma", 0.0, "not above 0"),
+        ("scorer", "gamma", np.inf, "not finite"),
+        ("regressor", "bias", 1e30, "huge"),
+        ("regressor", "centers", -np.inf, "not finite"),
+    ],
+)
+def test_impossible_numbers_are_refused(tmp_path, part, name, value, message):
+    detector = random_detector(1)
+    machine = getattr(detector, part)
+    changed = value if name == "gamma" else np.full_like(getattr(machine, name), value)
+    other = replace(detector, **{part: replace(machine, **{name: changed})})
+    save_detector(other, tmp_path / "detector.npz")
+    with pytest.raises(ValueError, match=rf"detector\.npz: not a detector.*{message}"):
+        load_detector(tmp_path / "detector.npz")
+
+
+def repacked(path, **changes):
+    """The archive with other arrays in it, and the checksum of those that were."""
+    with np.load(path) as archive:
+        arrays = dict(archive) | changes
+    np.savez(path, **arrays)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (np.zeros(1, np.float32), "checksum"),
+        (np.array([{}], object), "not a detector"),
+        (np.zeros(20_000_000, np.float32), "bytes when unpacked"),
+    ],
+)
+def test_a_strange_array_is_refused(tmp_path, value, message):
+    path = tmp_path / "detector.npz"
+    save_detector(random_detector(1), path)
+    with pytest.raises(ValueError, match=message):
+        load_detector(repacked(path, scorer_bias=value))
+
+
+def test_a_bomb_is_not_unpacked(tmp_path):
+    """Three gigabytes of zeros in three megabytes."""
+    path = tmp_path / "detector.npz"
+    save_detector(random_detector(1), path)
+    with (
+        zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("bomb.npy", "w", force_zip64=True) as file,
+    ):
+        for _ in range(3000):
+            file.write(bytes(1_000_000))
+    tracemalloc.start()
+    with pytest.raises(ValueError, match="bytes when unpacked"):
+        load_detector(path)
+    assert tracemalloc.get_traced_memory()[1] < 50_000_000
+    tracemalloc.stop()
+
+
+def test_an_evil_regressor_moves_no_edge_beyond_the_middle():
+    """Whatever a file says, boxes stay boxes of about their size."""
+    boxes = np.array([[10.0, 20, 50, 40]])
+    for shifts in (np.full((1, 4), 1e30), np.array([[1e9, 1e9, -1e9, -1e9]])):
+        left, top, right, bottom = move_edges(boxes, shifts)[0]
+        assert 0 < right - left <= 80 and 0 < bottom - top <= 40

@@ -6,11 +6,16 @@ those that a scaler, an SVM and NumPy's arrays are made of.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import pickle
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
+_MARK = b"sha256:"
+_DIGEST = hashlib.sha256().digest_size
+_TAIL = len(_MARK) + _DIGEST
 _NUMPY = {
     (f"numpy.{core}.{module}", name)
     for core in ("core", "_core")
@@ -44,8 +49,14 @@ class _Unpickler(pickle.Unpickler):
         return super().find_class(module, name)
 
 
+def dumps(value: Any) -> bytes:
+    """A pickle of a value, and behind it its SHA-256, which other readers of pickles skip."""
+    content = pickle.dumps(value)
+    return content + _MARK + hashlib.sha256(content).digest()
+
+
 def loads(content: bytes, trusted: Sequence = ()) -> Any:
-    """What a pickle holds.
+    """What `dumps` has packed.
 
     Parameters
     ----------
@@ -57,9 +68,32 @@ def loads(content: bytes, trusted: Sequence = ()) -> Any:
     -------
     object
 
+    Warns
+    -----
+    UserWarning
+        There is no checksum: it was packed by other means.
+
     Raises
     ------
     pickle.UnpicklingError
-        It names what is not admitted. What is no pickle can fail in any other way.
+        It is damaged, or names what is not admitted. What is no pickle can fail in any other way.
     """
+    packed, mark, digest = content[:-_TAIL], content[-_TAIL:-_DIGEST], content[-_DIGEST:]
+    if mark != _MARK:
+        warnings.warn("a parameter file without a checksum: damage goes unnoticed", stacklevel=3)
+    elif hashlib.sha256(packed).digest() != digest:
+        raise pickle.UnpicklingError("it is damaged: its checksum does not agree")
     return _Unpickler(content, trusted).load()
+
+
+def require_plain(value: Any) -> None:
+    """Refuse an object of which a stored value hides a method of its class.
+
+    Raises
+    ------
+    ValueError
+        It has such a value.
+    """
+    for name in vars(value):
+        if callable(getattr(type(value), name, None)):
+            raise ValueError(f"a value in place of the method {name}")

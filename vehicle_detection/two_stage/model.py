@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import zipfile
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +19,9 @@ from vehicle_detection.two_stage.features import (
 )
 from vehicle_detection.two_stage.proposals import WINDOW_COLUMNS, WINDOW_ROWS
 
-FORMAT_VERSION = 8
+FORMAT_VERSION = 9
+# Ten times what a detector takes, and more than any of its numbers.
+_MOST_BYTES, _LARGEST = 50_000_000, 1e6
 
 
 @dataclass(frozen=True)
@@ -94,15 +98,26 @@ class Detector:
 
 def save_detector(detector: Detector, path: str | os.PathLike) -> None:
     """Write a detector as a NumPy archive; it appears under its name only when whole."""
-    arrays: dict = {"format_version": FORMAT_VERSION}
+    arrays: dict = {"format_version": np.int64(FORMAT_VERSION)}
     for i, template in enumerate(detector.templates):
         arrays |= {f"template{i}_{name}": value for name, value in vars(template).items()}
     for name in ("scorer", "regressor"):
         machine = getattr(detector, name)
         own = {field.name: getattr(machine, field.name) for field in fields(machine)}
         arrays |= {f"{name}_{key}": _half(value) for key, value in own.items()}
-    with written_whole(path) as partial, open(partial, "wb") as file:
+    arrays["sha256"] = _checksum(arrays)
+    with written_whole(path) as file:
         np.savez_compressed(file, **arrays)
+
+
+def _checksum(arrays):
+    """SHA-256 of names and values, as an array of bytes."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        value = np.asarray(arrays[name])
+        digest.update(f"{name} {value.dtype.str} {value.shape} ".encode())
+        digest.update(value.tobytes())
+    return np.frombuffer(digest.digest(), np.uint8)
 
 
 def _half(value):
@@ -123,20 +138,41 @@ def load_detector(path: str | os.PathLike) -> Detector:
         raise FileNotFoundError(f"{path}: no such parameter file: train one, see docs/training.md")
     # What is no such archive can fail in any way whatever.
     try:
-        with np.load(path) as arrays:
-            if arrays["format_version"] != FORMAT_VERSION:
-                raise ValueError(f"format {arrays['format_version']}, not {FORMAT_VERSION}")
-            templates = tuple(
-                Template(arrays[f"template{i}_weights"], float(arrays[f"template{i}_bias"]))
-                for i in range(len(WINDOW_COLUMNS))
-            )
-            scorer = _read_machine(arrays, "scorer", N_SCORER_FEATURES, 1)
-            regressor = _read_machine(arrays, "regressor", N_REGRESSOR_FEATURES, 4)
+        arrays = _read_arrays(path)
+        templates = tuple(
+            Template(arrays[f"template{i}_weights"], float(arrays[f"template{i}_bias"]))
+            for i in range(len(WINDOW_COLUMNS))
+        )
         for template, columns in zip(templates, WINDOW_COLUMNS, strict=True):
             _require_shape(template.weights, (WINDOW_ROWS, columns, CELL_FEATURES))
+        scorer = _read_machine(arrays, "scorer", N_SCORER_FEATURES, 1)
+        regressor = _read_machine(arrays, "regressor", N_REGRESSOR_FEATURES, 4)
     except Exception as error:
         raise ValueError(f"{path}: not a detector of two_stage.training: {error}") from error
     return Detector(templates, scorer, regressor)
+
+
+def _read_arrays(path):
+    """All arrays of an archive by name: small ones, of finite numbers, as they were written."""
+    with zipfile.ZipFile(path) as archive:
+        size = sum(member.file_size for member in archive.infolist())
+    if size > _MOST_BYTES:
+        raise ValueError(f"{size} bytes when unpacked, at most {_MOST_BYTES} are read")
+    with np.load(path, allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    version = arrays.get("format_version", np.int64(0))
+    if version.shape != () or version != FORMAT_VERSION:
+        raise ValueError(f"format {version}, not {FORMAT_VERSION}")
+    checksum = arrays.pop("sha256")
+    if not np.array_equal(checksum, _checksum(arrays)):
+        raise ValueError("it is damaged: its checksum does not agree")
+    del arrays["format_version"]
+    for name, values in arrays.items():
+        if values.dtype.kind != "f" or values.dtype.byteorder == ">":
+            raise ValueError(f"{name} is {values.dtype}, not little-endian floats")
+        if not (np.abs(values.astype(float)) <= _LARGEST).all():
+            raise ValueError(f"{name} holds numbers that are not finite, or huge")
+    return {name: values.astype(np.float32) for name, values in arrays.items()}
 
 
 def _require_shape(array, shape):
@@ -147,7 +183,7 @@ def _require_shape(array, shape):
 
 def _read_machine(arrays, name, n_features, n_outputs):
     fields = ("projection", "offset", "centers", "weights", "bias")
-    values = [arrays[f"{name}_{field}"].astype(np.float32) for field in fields]
+    values = [arrays[f"{name}_{field}"] for field in fields]
     n_components, n_centers = len(values[1]), len(values[2])
     shapes = (
         (n_components, n_features), (n_components,), (n_centers, n_components),
@@ -155,4 +191,7 @@ def _read_machine(arrays, name, n_features, n_outputs):
     )  # fmt: skip
     for array, shape in zip(values, shapes, strict=True):
         _require_shape(array, shape)
-    return KernelMachine(*values, gamma=float(arrays[f"{name}_gamma"]))
+    gamma = arrays[f"{name}_gamma"]
+    if gamma.shape != () or not gamma > 0:
+        raise ValueError(f"gamma {gamma} is not above 0")
+    return KernelMachine(*values, gamma=float(gamma))

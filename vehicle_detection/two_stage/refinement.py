@@ -24,6 +24,7 @@ from vehicle_detection.two_stage.features import (
 if TYPE_CHECKING:
     from vehicle_detection.two_stage.model import Detector
 
+_MOST_SHIFT = 0.49
 _LIBRARIES = ThreadpoolController()
 
 
@@ -113,6 +114,9 @@ def score_boxes(frame: np.ndarray, boxes: np.ndarray, scorer: Any) -> np.ndarray
 
 
 def move_edges(boxes: np.ndarray, shifts: np.ndarray) -> np.ndarray:
-    """Boxes with each edge moved by a share of the box's width or height."""
+    """Boxes with each edge moved by a share of the box's width or height.
+
+    By less than half, so that the left edge stays left of the right one.
+    """
     size = boxes[:, 2:] - boxes[:, :2]
-    return boxes + shifts * np.hstack([size, size])
+    return boxes + np.clip(shifts, -_MOST_SHIFT, _MOST_SHIFT) * np.hstack([size, size])
