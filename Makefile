@@ -11,8 +11,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 DETECTOR ?= param/detector.npz
-export VIDEO
 PRESET ?= G
+# Recipes see them as variables of the shell, which it takes as they are.
+export VIDEO DATA DETECTOR PRESET PYTHON
 REAL := ../shared
 NOTEBOOKS := image_pipeline video_pipeline two_stage
 
@@ -22,8 +23,8 @@ NOTEBOOKS := image_pipeline video_pipeline two_stage
 all: notebooks
 
 .venv/installed: requirements.txt constraints.txt
-	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'
-	$(PYTHON) -m venv .venv
+	"$$PYTHON" -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'
+	"$$PYTHON" -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check -r requirements.txt
 	touch $@
 
@@ -32,7 +33,8 @@ output/svc_pickle.p: .venv/installed
 
 notebooks: output/svc_pickle.p
 	for name in $(NOTEBOOKS); do \
-		$(BIN)/papermill --no-progress-bar $$name.ipynb output/$$name.ipynb -p output output/$$name || exit 1; \
+		$(BIN)/papermill --no-progress-bar $$name.ipynb output/$$name.ipynb -p output output/$$name \
+			-y "overwrite: true" || exit 1; \
 	done
 	@echo 'Look at the notebooks and videos in output/.'
 
@@ -49,12 +51,12 @@ lint: .venv/installed
 	$(BIN)/mypy
 
 video: .venv/installed
-	@test -n "$(VIDEO)" || { echo 'error: which video? make video VIDEO=path/to/drive.mp4'; exit 1; }
-	$(BIN)/python detect.py --param $(DETECTOR) -- "$$VIDEO"
+	@test -n "$$VIDEO" || { echo 'error: which video? make video VIDEO=path/to/drive.mp4'; exit 1; }
+	$(BIN)/python detect.py --param "$$DETECTOR" -- "$$VIDEO"
 
 train: .venv/installed
-	@test -n "$(DATA)" || { echo 'error: which data? make train DATA=path/to/folder'; exit 1; }
-	$(BIN)/python train.py "$(DATA)" --preset $(PRESET)
+	@test -n "$$DATA" || { echo 'error: which data? make train DATA=path/to/folder'; exit 1; }
+	$(BIN)/python train.py --preset "$$PRESET" -- "$$DATA"
 
 detector: .venv/installed
 	for scene in motorway town; do \
@@ -66,10 +68,10 @@ detector: .venv/installed
 		--footage output/scenes/town/scenes output/scenes/town/scenes.gt.txt
 
 evaluate: .venv/installed
-	$(BIN)/python detect.py --param $(DETECTOR)
+	$(BIN)/python detect.py --overwrite --param "$$DETECTOR"
 	$(BIN)/python -m vehicle_detection.evaluation videos/drive.gt.txt output/drive.txt
 	@if [ -f $(REAL)/truth/project_video.gt.txt ]; then \
-		$(BIN)/python detect.py $(REAL)/udacity/project_video.mp4 --param $(DETECTOR) && \
+		$(BIN)/python detect.py $(REAL)/udacity/project_video.mp4 --overwrite --param "$$DETECTOR" && \
 		for frames in 1:630 631:1260; do \
 			echo "project_video.mp4, frames $$frames"; \
 			$(BIN)/python -m vehicle_detection.evaluation $(REAL)/truth/project_video.gt.txt \

@@ -6,13 +6,15 @@ python train.py path/to/folder       with vehicles/ and non-vehicles/ in it
 
 from __future__ import annotations
 
+from vehicle_detection import command_line  # isort: split
+
 import argparse
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from joblib import parallel_config
 from sklearn.metrics import accuracy_score, confusion_matrix
 from sklearn.model_selection import GridSearchCV, train_test_split
 from sklearn.pipeline import make_pipeline
@@ -21,6 +23,7 @@ from sklearn.svm import SVC, LinearSVC
 
 from pipeline_functions import extract_features
 from vehicle_detection.classifier import Classifier, save_classifier
+from vehicle_detection.compiled.processes import begin_worker
 from vehicle_detection.media.training_images import HELD_OUT, hold_out_ends, load_training_set
 from vehicle_detection.parameters import FEATURE_PRESETS
 
@@ -131,7 +134,8 @@ def fit_searched(features: np.ndarray, labels: np.ndarray, jobs: int, folds: int
     search = GridSearchCV(
         make_pipeline(StandardScaler(), SVC()), grid, cv=folds, n_jobs=jobs, verbose=3
     )
-    search.fit(features, labels)
+    with parallel_config("loky", initializer=begin_worker):
+        search.fit(features, labels)
     print(f"best: {search.best_params_}, cross-validated accuracy {search.best_score_:.4f}")
     return search.best_estimator_["standardscaler"], search.best_estimator_["svc"]
 
@@ -196,18 +200,15 @@ def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
     start = time.perf_counter()
-    try:
-        folder = find_data(arguments.data)
-        print(f"training set: {folder}")
-        # A long fit must not end at a folder that cannot be written to.
-        arguments.out.parent.mkdir(parents=True, exist_ok=True)
-        params = FEATURE_PRESETS[arguments.preset]
-        save_classifier(train(load_training_set(folder), params, arguments), arguments.out)
-    except (OSError, ValueError) as error:
-        sys.exit(f"error: {error}")
+    folder = find_data(arguments.data)
+    print(f"training set: {folder}")
+    # A long fit must not end at a folder that cannot be written to.
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    params = FEATURE_PRESETS[arguments.preset]
+    save_classifier(train(load_training_set(folder), params, arguments), arguments.out)
     print(f"wrote {arguments.out} after {time.perf_counter() - start:.0f} s")
     print(f"try it: python detect.py --method {arguments.preset} --param {arguments.out}")
 
 
 if __name__ == "__main__":
-    main()
+    command_line.run(main)

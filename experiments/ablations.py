@@ -7,16 +7,18 @@ camera. Errors are false positives and misses at an IoU of 0.5; for stills, the 
 precision over folders is given.
 """
 
+from vehicle_detection import command_line  # isort: split
+
 import argparse
-import sys
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from joblib import Parallel, delayed
+from joblib import Parallel, delayed, parallel_config
 
 from experiments.leave_one_out import QUICK_GROUPS
+from vehicle_detection.compiled.processes import begin_worker
 from vehicle_detection.evaluation.metrics import evaluate
 from vehicle_detection.evaluation.stills import score_folder
 from vehicle_detection.media.files import write_whole
@@ -94,7 +96,7 @@ def errors_on(clip, rules):
     judged = frame_range(frames)
     upcoming = islice(frames_of(located(path)), judged[-1])
     found = [vehicle.detect(frame) for frame in upcoming]
-    figures = evaluate(read_rows(located(truth)), rows_of_detections(found), judged)
+    figures = evaluate(read_rows(located(truth), is_truth=True), rows_of_detections(found), judged)
     return [figures[n] or 0 for n in ("false positives", "misses", "identity switches")]
 
 
@@ -129,10 +131,9 @@ def main():
     arguments = parser.parse_args()
     missing = [g for g in QUICK_GROUPS if not (DETECTORS / f"{g}_quick.npz").is_file()]
     if missing or not SHARED.is_dir():
-        sys.exit(f"error: run experiments.leave_one_out run --quick first: no {missing}")
-    rows = Parallel(n_jobs=arguments.jobs)(
-        delayed(row_of)(name, rules, VIDEO_PARAMS) for name, rules in VARIANTS.items()
-    )
+        raise ValueError(f"run experiments.leave_one_out run --quick first: no {missing}")
+    with parallel_config("loky", n_jobs=arguments.jobs, initializer=begin_worker):
+        rows = Parallel()(delayed(row_of)(*variant, VIDEO_PARAMS) for variant in VARIANTS.items())
     heads = [*CLIPS, "AP of stills"]
     lines = [
         "# Ablations", "",
@@ -149,4 +150,4 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    command_line.run(main)

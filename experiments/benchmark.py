@@ -7,6 +7,8 @@ printed. The reference is the published way, window by window on scikit-image,
 in `experiments/reference.py`.
 """
 
+from vehicle_detection import command_line  # isort: split
+
 import argparse
 import json
 import subprocess
@@ -354,12 +356,9 @@ def main():
     parser.add_argument("--out", type=Path, default=Path("output"), help="for the figure")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     arguments = parser.parse_args()
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            figures = measure(arguments, Path(folder))
-            curves = growth(first_frames(arguments.video), (None, arguments.param))
-    except (OSError, ValueError) as error:
-        sys.exit(f"error: {error}")
+    with tempfile.TemporaryDirectory() as folder:
+        figures = measure(arguments, Path(folder))
+        curves = growth(first_frames(arguments.video), (None, arguments.param))
     figures |= {f"milliseconds by {name}": times for name, times in curves.items()}
     if arguments.json:
         print(json.dumps(figures, indent=1))
@@ -368,9 +367,9 @@ def main():
             print(title)
             for name, value in values.items():
                 print(f"  {name!s:28}{value:10.2f}")
-    with written_whole(arguments.out / "growth.png") as partial:
-        draw_growth(curves).savefig(partial, dpi=90)
+    with written_whole(arguments.out / "growth.png") as file:
+        draw_growth(curves).savefig(file, dpi=90)
 
 
 if __name__ == "__main__":
-    main()
+    command_line.run(main)

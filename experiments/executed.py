@@ -3,6 +3,8 @@
 python -m experiments.executed output/image_pipeline.ipynb docs/image_pipeline.md
 """
 
+from vehicle_detection import command_line  # isort: split
+
 import argparse
 from pathlib import Path
 
@@ -67,4 +69,4 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    command_line.run(main)

@@ -9,10 +9,11 @@ eight. `run` resumes where it was stopped; `--scheduler` spreads it over machine
 `experiments.table`.
 """
 
+from vehicle_detection import command_line  # isort: split
+
 import argparse
 import hashlib
 import json
-import sys
 import time
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -94,9 +95,8 @@ def figures_of_footage(part, detector):
     vehicle = TwoStageVehicle(None, detector)
     found = [vehicle.detect(frame) for frame in read_frames(part.path)]
     first, last, *_ = part.frames.split(":")
-    figures = evaluate(
-        read_rows(part.truth), rows_of_detections(found), frame_range(f"{first}:{last}")
-    )
+    truth, judged = read_rows(part.truth, is_truth=True), frame_range(f"{first}:{last}")
+    figures = evaluate(truth, rows_of_detections(found), judged)
     wanted = ("recall", "precision", "mean IoU", "identity switches", "MOTA")
     return {name: figures[name] for name in wanted}
 
@@ -184,22 +184,19 @@ def main():
         command.add_argument("--quick", action="store_true", help="two groups, fewer frames")
     arguments = parser.parse_args()
     results_path = RESULTS / f"leave_one_out{'_quick' if arguments.quick else ''}.csv"
-    try:
-        if arguments.command == "run":
-            groups = [c for c in read_cameras(CAMERAS) if c not in RENDERED]
-            groups = QUICK_GROUPS if arguments.quick else groups
-            rest = arguments.data, arguments.quick, arguments.folder
-            with workers(arguments.scheduler, arguments.jobs, []):
-                run_all(
-                    [{"id": group} for group in groups], results_path, run_group, rest,
-                    lambda _: settings_of(arguments.quick),
-                )  # fmt: skip
-        text = report(read_results(results_path))
-        write_whole(results_path.with_suffix(".md"), text + "\n")
-        print(text)
-    except (OSError, ValueError) as error:
-        sys.exit(f"error: {error}")
+    if arguments.command == "run":
+        groups = [c for c in read_cameras(CAMERAS) if c not in RENDERED]
+        groups = QUICK_GROUPS if arguments.quick else groups
+        rest = arguments.data, arguments.quick, arguments.folder
+        with workers(arguments.scheduler, arguments.jobs, []):
+            run_all(
+                [{"id": group} for group in groups], results_path, run_group, rest,
+                lambda _: settings_of(arguments.quick),
+            )  # fmt: skip
+    text = report(read_results(results_path))
+    write_whole(results_path.with_suffix(".md"), text + "\n")
+    print(text)
 
 
 if __name__ == "__main__":
-    main()
+    command_line.run(main)

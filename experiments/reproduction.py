@@ -6,8 +6,9 @@ Every variant is trained with five seeds and run over the whole video. The table
 range of recall and precision at an IoU of 0.5.
 """
 
+from vehicle_detection import command_line  # isort: split
+
 import argparse
-import sys
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -137,12 +138,9 @@ def main():
     parser.add_argument("--truth", type=Path, required=True)
     parser.add_argument("--calib", type=Path, default=Path("param/calib.p"))
     arguments = parser.parse_args()
-    try:
-        boxes = detect_all(train_variants(arguments.data), arguments.calib, arguments.video)
-        print(table(boxes, read_rows(arguments.truth)))
-    except (OSError, ValueError) as error:
-        sys.exit(f"error: {error}")
+    boxes = detect_all(train_variants(arguments.data), arguments.calib, arguments.video)
+    print(table(boxes, read_rows(arguments.truth, is_truth=True)))
 
 
 if __name__ == "__main__":
-    main()
+    command_line.run(main)

@@ -8,12 +8,13 @@
 at a time as there are cores or workers, and resumes where it was stopped.
 """
 
+from vehicle_detection import command_line  # isort: split
+
 import argparse
 import contextlib
 import csv
 import hashlib
 import io
-import sys
 import time
 from itertools import islice
 from pathlib import Path
@@ -30,6 +31,7 @@ from pipeline_functions import extract_features
 from train import fit_linear, fit_searched
 from vehicle import Vehicle
 from vehicle_detection.classifier import Classifier
+from vehicle_detection.compiled.processes import begin_worker
 from vehicle_detection.evaluation.metrics import evaluate
 from vehicle_detection.media.files import write_whole, written_whole
 from vehicle_detection.media.mot import read_rows, rows_of
@@ -137,7 +139,7 @@ def judge_detector(classifier, video, truth, frames):
     search = SearchParams(_BANDS, cells_per_step)
     vehicle = Vehicle(None, classifier, search)
     boxes = [vehicle.detect(frame).boxes for frame in islice(read_frames(video), frames)]
-    figures = evaluate(read_rows(truth), rows_of(boxes), range(1, frames + 1))
+    figures = evaluate(read_rows(truth, is_truth=True), rows_of(boxes), range(1, frames + 1))
     return {
         "recall": f"{figures['recall']:.3f}",
         "precision": f"{figures['precision']:.3f}",
@@ -149,10 +151,23 @@ def judge_detector(classifier, video, truth, frames):
 
 
 def read_results(path):
-    """Finished rows of a results file, by id; none if there is no file yet."""
+    """Finished rows of a results file, by id; none if there is no file yet.
+
+    Raises
+    ------
+    ValueError
+        The file is damaged.
+    """
     if not Path(path).is_file():
         return {}
-    return {row["id"]: row for row in read_configurations(path)}
+    try:
+        rows = read_configurations(path)
+        results = {row["id"]: row for row in rows}
+    except (KeyError, csv.Error, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: damaged: delete it and run again") from error
+    if any(None in row or None in row.values() for row in rows):
+        raise ValueError(f"{path}: damaged, rows of other lengths: delete it and run again")
+    return results
 
 
 def write_results(path, results):
@@ -179,7 +194,7 @@ def workers(scheduler, jobs, large):
         What is sent to the workers once instead of with every task.
     """
     if scheduler is None:
-        with parallel_config(n_jobs=jobs):
+        with parallel_config("loky", n_jobs=jobs, initializer=begin_worker):
             yield
         return
     try:
@@ -325,11 +340,8 @@ def parse_arguments(arguments=None):
 def main():
     """Run the command line."""
     arguments = parse_arguments()
-    try:
-        configurations = read_configurations(arguments.configurations)
-        COMMANDS[arguments.command](arguments, configurations)
-    except (OSError, ValueError) as error:
-        sys.exit(f"error: {error}")
+    configurations = read_configurations(arguments.configurations)
+    COMMANDS[arguments.command](arguments, configurations)
 
 
 def _run(arguments, configurations):
@@ -360,8 +372,8 @@ def _report(arguments, configurations):
     if not results:
         raise ValueError(f"{arguments.results}: no results yet: use run first")
     write_whole(arguments.results.with_suffix(".md"), markdown(configurations, results))
-    with written_whole(arguments.results.with_suffix(".png")) as partial:
-        draw_report(configurations, results).savefig(partial, dpi=90)
+    with written_whole(arguments.results.with_suffix(".png")) as file:
+        draw_report(configurations, results).savefig(file, dpi=90)
     judged = [row for row in results.values() if row["false_positives_per_frame"]]
     alarms = [float(row["false_positives_per_frame"]) for row in judged]
     for column in ("accuracy", "honest_accuracy", "honest_auc"):
@@ -374,4 +386,4 @@ COMMANDS = {"run": _run, "grid": _grid, "report": _report}
 
 
 if __name__ == "__main__":
-    main()
+    command_line.run(main)

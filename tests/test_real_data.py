@@ -41,7 +41,8 @@ def test_search_of_preset_g_scores_like_the_published_way(frame):
 
 
 def test_calibration_agrees_with_the_published_one(real_data):
-    calibration, error, skipped = calibrate(find_images(real_data / "udacity/camera_cal"))
+    fit = calibrate(find_images(real_data / "udacity/camera_cal"))
+    calibration, error, skipped = fit.calibration, fit.error, fit.skipped
     assert abs(calibration.mtx[0, 0] / 1154.0 - 1) < 0.01
     assert abs(calibration.mtx[1, 1] / 1148.0 - 1) < 0.01
     assert error < 1

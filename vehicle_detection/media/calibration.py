@@ -5,10 +5,10 @@ python -m vehicle_detection.media.calibration FOLDER --out output/calib.p
 
 from __future__ import annotations
 
+from vehicle_detection import command_line  # isort: split
+
 import argparse
 import os
-import pickle
-import sys
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,8 +19,11 @@ from tqdm.auto import tqdm
 
 from vehicle_detection.media import safe_pickle
 from vehicle_detection.media.files import write_whole
-from vehicle_detection.media.images import find_images, read_image
+from vehicle_detection.media.images import find_images, read_images
+from vehicle_detection.parameters import DEFAULT_CALIBRATION, CalibrationParams
 
+# More is a mistype; looking for so many takes for ever.
+_MOST_CORNERS = 100
 _THOROUGH = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 
 
@@ -89,7 +92,33 @@ def find_corners(img: np.ndarray, pattern: tuple) -> np.ndarray | None:
     return corners if found else None
 
 
-def calibrate(paths: list, pattern: tuple = (9, 6)) -> tuple:
+@dataclass(frozen=True)
+class Fit:
+    """A calibration, and how far it is to be believed.
+
+    Attributes
+    ----------
+    calibration : Calibration
+    error : float
+        Root mean square reprojection error in pixels.
+    deviations : dict of str to float
+        Standard deviation of fx, fy, cx, cy in pixels, and of k1, k2, p1, p2, k3.
+    skipped : list of Path
+        Photos without the whole pattern, or of another size.
+    """
+
+    calibration: Calibration
+    error: float
+    deviations: dict
+    skipped: list
+
+
+_NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+
+
+def calibrate(
+    paths: list, pattern: tuple = (9, 6), params: CalibrationParams = DEFAULT_CALIBRATION
+) -> Fit:
     """Calibration from the photos that show the whole board, at the commonest size.
 
     Parameters
@@ -97,24 +126,47 @@ def calibrate(paths: list, pattern: tuple = (9, 6)) -> tuple:
     paths : list of Path
     pattern : (columns, rows)
         Inner corners.
+    params : CalibrationParams
 
     Returns
     -------
-    calibration : Calibration
-    error : float
-        Root mean square reprojection error in pixels.
-    skipped : list of Path
-        Photos without the whole pattern, or of another size.
+    fit : Fit
 
     Raises
     ------
     ValueError
-        Fewer than three photos show the board.
+        Too few photos show the board, or all in about one pose: such a fit looks better than a
+        good one, and is none [1]_.
+
+    References
+    ----------
+    .. [1] Z. Zhang, "A Flexible New Technique for Camera Calibration", PAMI 2000.
     """
     columns, rows = pattern
     board = np.zeros((columns * rows, 3), np.float32)
     board[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
-    images = [read_image(path) for path in paths]
+    corners, size, skipped = _boards(paths, pattern)
+    folder = paths[0].parent
+    if len(corners) < params.least_photos:
+        raise ValueError(
+            f"{folder}: {len(corners)} photos show all {columns}x{rows} inner "
+            f"corners, at least {params.least_photos} are needed"
+        )
+    error, mtx, dist, turns, _, deviations, _, _ = cv2.calibrateCameraExtended(
+        [board] * len(corners), corners, size, None, None
+    )
+    _require_spread(corners, size, turns, folder, params)
+    return Fit(
+        Calibration(mtx, dist.reshape(1, -1), size),
+        error,
+        dict(zip(_NAMES, deviations.ravel().tolist(), strict=False)),
+        skipped,
+    )
+
+
+def _boards(paths, pattern):
+    """Corners of every photo that shows the whole board, the size of the photos, the others."""
+    images = read_images(paths)
     size = Counter(img.shape[1::-1] for img in images).most_common(1)[0][0]
     corners, skipped = [], []
     for path, img in zip(tqdm(paths, desc="chessboards", unit="photo"), images, strict=True):
@@ -126,18 +178,26 @@ def calibrate(paths: list, pattern: tuple = (9, 6)) -> tuple:
             skipped.append(path)
         else:
             corners.append(found)
-    if len(corners) < 3:
+    return corners, size, skipped
+
+
+def _require_spread(corners, size, turns, folder, params):
+    """Raise ValueError unless boards are tilted against each other and fill the picture."""
+    normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])
+    tilt = np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1))).max()
+    hull = cv2.convexHull(np.concatenate(corners).reshape(-1, 2))
+    coverage = cv2.contourArea(hull) / (size[0] * size[1])
+    if tilt < params.least_tilt or coverage < params.least_coverage:
         raise ValueError(
-            f"{paths[0].parent}: {len(corners)} photos show all {columns}x{rows} inner "
-            "corners, at least 3 are needed"
+            f"{folder}: the boards are tilted by {tilt:.0f} degrees against each other and cover "
+            f"{coverage:.0%} of the picture; {params.least_tilt:.0f} degrees and "
+            f"{params.least_coverage:.0%} are needed: take photos from more sides"
         )
-    error, mtx, dist, _, _ = cv2.calibrateCamera([board] * len(corners), corners, size, None, None)
-    return Calibration(mtx, dist.reshape(1, -1), size), error, skipped
 
 
 def save_calibration(calibration: Calibration, path: str | os.PathLike) -> None:
     """Write `mtx`, `dist` and `image_size` as a pickled dict."""
-    write_whole(path, pickle.dumps(vars(calibration)))
+    write_whole(path, safe_pickle.dumps(vars(calibration)))
 
 
 def load_calibration(path: str | os.PathLike) -> Calibration:
@@ -167,10 +227,10 @@ def load_calibration(path: str | os.PathLike) -> Calibration:
 
 
 def corner_count(text: str) -> int:
-    """Number of inner corners from the command line; a board needs three a side."""
+    """Number of inner corners from the command line; a board has three a side or more."""
     count = int(text)
-    if count < 3:
-        raise argparse.ArgumentTypeError("a board needs three inner corners a side")
+    if not 3 <= count <= _MOST_CORNERS:
+        raise argparse.ArgumentTypeError(f"a board has 3 to {_MOST_CORNERS} inner corners a side")
     return count
 
 
@@ -186,23 +246,18 @@ def main() -> None:
         help="inner corners of the board, default: 9 6",
     )  # fmt: skip
     arguments = parser.parse_args()
-    try:
-        paths = find_images(arguments.folder)
-        calibration, error, skipped = calibrate(paths, tuple(arguments.corners))
-    except (OSError, ValueError) as failure:
-        sys.exit(f"error: {failure}")
-    for path in skipped:
+    paths = find_images(arguments.folder)
+    fit = calibrate(paths, tuple(arguments.corners))
+    for path in fit.skipped:
         print(f"skipped, not all corners seen or of another size: {path}")
-    mtx = calibration.mtx
-    print(f"fx {mtx[0, 0]:.1f}  fy {mtx[1, 1]:.1f}  cx {mtx[0, 2]:.1f}  cy {mtx[1, 2]:.1f}")
-    print("dist", *(f"{value:.4f}" for value in calibration.dist[0]))
-    print(f"reprojection error {error:.3f} px over {len(paths) - len(skipped)} photos")
-    try:
-        save_calibration(calibration, arguments.out)
-    except OSError as failure:
-        sys.exit(f"error: {failure}")
+    mtx, dist = fit.calibration.mtx, fit.calibration.dist[0]
+    values = mtx[0, 0], mtx[1, 1], mtx[0, 2], mtx[1, 2], *dist
+    for (name, deviation), value in zip(fit.deviations.items(), values, strict=True):
+        print(f"{name} {value:10.4f} +- {deviation:.4f}")
+    print(f"reprojection error {fit.error:.3f} px over {len(paths) - len(fit.skipped)} photos")
+    save_calibration(fit.calibration, arguments.out)
     print(f"wrote {arguments.out}")
 
 
 if __name__ == "__main__":
-    main()
+    command_line.run(main)

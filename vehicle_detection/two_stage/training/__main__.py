@@ -8,8 +8,9 @@ footage -> windows -> first stage -> hard negatives -> proposals -> regressor ->
 
 from __future__ import annotations
 
+from vehicle_detection import command_line  # isort: split
+
 import argparse
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -135,15 +136,12 @@ def main() -> None:
     arguments = parse_arguments()
     params = QUICK_TRAINING if arguments.quick else DEFAULT_TRAINING
     start = time.perf_counter()
-    try:
-        training_set = gather(arguments, params)
-        print(", ".join(f"{len(v)} {k}" for k, v in vars(training_set).items()))
-        detector = train_detector(training_set, arguments.seed, arguments.jobs, params)
-        save_detector(detector, arguments.out)
-    except (OSError, ValueError) as error:
-        sys.exit(f"error: {error}")
+    training_set = gather(arguments, params)
+    print(", ".join(f"{len(v)} {k}" for k, v in vars(training_set).items()))
+    detector = train_detector(training_set, arguments.seed, arguments.jobs, params)
+    save_detector(detector, arguments.out)
     print(f"wrote {arguments.out} after {time.perf_counter() - start:.0f} s")
 
 
 if __name__ == "__main__":
-    main()
+    command_line.run(main)

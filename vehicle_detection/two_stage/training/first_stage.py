@@ -12,7 +12,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 from tqdm.auto import tqdm
 
-from vehicle_detection.compiled.threads import in_parallel
+from vehicle_detection.compiled.processes import in_parallel
 from vehicle_detection.parameters import DEFAULT_ROAD, DEFAULT_SCAN, ScanParams
 from vehicle_detection.two_stage.features import cut_out
 from vehicle_detection.two_stage.model import Template

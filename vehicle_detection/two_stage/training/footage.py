@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehicle_detection.media.images import find_images, read_image
-from vehicle_detection.media.mot import frame_range, read_rows
+from vehicle_detection.media.mot import frame_range, read_rows, require_within
 from vehicle_detection.media.videos import VIDEO_SUFFIXES, read_frames
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def read_footage(
     FileNotFoundError, ValueError
         A file is missing or cannot be read; no frame is left.
     """
-    path, rows, numbers = Path(path), read_rows(truth), frame_range(frames)
+    path, rows, numbers = Path(path), read_rows(truth, is_truth=True), frame_range(frames)
     is_video = path.suffix.lower() in VIDEO_SUFFIXES
     sources = read_frames(path) if is_video else find_images(path)
     required = rows.scores == 1
@@ -162,6 +162,8 @@ def read_footage(
             break
         if number in numbers:
             own = rows.frames == number
+            if is_video:
+                require_within(rows.only(own), source.shape, truth)
             examples.append(Example(source, rows.boxes[own], required[own], visibility[own]))
     if not examples:
         raise ValueError(f"{path}: no frame in {frames}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm.auto import tqdm
 
-from vehicle_detection.compiled.threads import in_parallel
+from vehicle_detection.compiled.processes import in_parallel
 from vehicle_detection.parameters import ScanParams
 from vehicle_detection.tracking.boxes import best_iou, pairwise_iou
 from vehicle_detection.two_stage.features import (
