@@ -1,7 +1,9 @@
 # make            environment, classifier, executed notebooks, annotated videos: all into output/
 # make test       the tests
+# make fuzz       ten thousand damaged files of each kind: some minutes
+# make mutants    how many small changes of the deciding modules the tests notice: five minutes
 # make lint       style, types of public functions
-# make video VIDEO=path/to/drive.mp4
+# make video VIDEO=path/to/drive.mp4 [OPTIONS=--overwrite]
 # make train DATA=path/to/folder   with vehicles/ and non-vehicles/ in it
 # make detector   the two-stage detector, trained on rendered scenes alone
 # make evaluate   boxes against the truth: the shipped clip, and real footage if there is some
@@ -17,7 +19,7 @@ export VIDEO DATA DETECTOR PRESET PYTHON
 REAL := ../shared
 NOTEBOOKS := image_pipeline video_pipeline two_stage
 
-.PHONY: all notebooks test test-dask lint video train detector evaluate docs clean
+.PHONY: all notebooks test fuzz mutants test-dask lint video train detector evaluate docs clean
 .DELETE_ON_ERROR:
 
 all: notebooks
@@ -41,6 +43,14 @@ notebooks: output/svc_pickle.p
 test: .venv/installed
 	$(BIN)/python -m pytest
 
+fuzz: .venv/installed
+	$(BIN)/python -m pytest tests/fuzz_files.py
+
+mutants: .venv/installed
+	$(BIN)/pip install --quiet --disable-pip-version-check -r requirements-mutants.txt
+	$(BIN)/mutmut run
+	$(BIN)/mutmut results
+
 test-dask: .venv/installed
 	$(BIN)/pip install --quiet --disable-pip-version-check -r requirements-dask.txt
 	$(BIN)/python -m pytest tests/experiments
@@ -52,7 +62,7 @@ lint: .venv/installed
 
 video: .venv/installed
 	@test -n "$$VIDEO" || { echo 'error: which video? make video VIDEO=path/to/drive.mp4'; exit 1; }
-	$(BIN)/python detect.py --param "$$DETECTOR" -- "$$VIDEO"
+	$(BIN)/python detect.py --param "$$DETECTOR" $(OPTIONS) -- "$$VIDEO"
 
 train: .venv/installed
 	@test -n "$$DATA" || { echo 'error: which data? make train DATA=path/to/folder'; exit 1; }

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,11 +23,14 @@ from vehicle_detection.evaluation.metrics import (
 )
 from vehicle_detection.media.mot import (
     Rows,
+    all_frames,
     frame_range,
+    mot_rows,
     read_rows,
     require_sizes,
     require_within,
     rows_of,
+    rows_of_detections,
 )
 from vehicle_detection.tracking.boxes import pairwise_iou
 
@@ -301,3 +305,95 @@ def test_json_is_valid_without_truth(tmp_path):
 
         figures = json.loads(result.stdout, parse_constant=refuse)
         assert figures["MOTA"] is None and figures["recall"] is None
+
+
+def test_rows_go_to_a_file_and_come_back(tmp_path):
+    """What a detector returns, as a file and as rows, is the same."""
+    frames = [
+        SimpleNamespace(
+            boxes=np.array([(1, 2, 30, 40), (50, 60, 90, 99)]),
+            ids=np.array([3, 1]),
+            scores=np.array([0.5, 1.25]),
+        ),
+        SimpleNamespace(boxes=np.empty((0, 4), int), ids=np.empty(0, int), scores=np.empty(0)),
+        SimpleNamespace(boxes=np.array([(5, 5, 9, 9)]), ids=np.array([3]), scores=np.array([2.0])),
+    ]
+    lines = [line for n, one in enumerate(frames, start=1) for line in mot_rows(n, one)]
+    assert lines[0] == "1,3,1,2,29,38,0.500,-1,-1,-1"
+    (tmp_path / "boxes.txt").write_text("\n".join(lines))
+    read, made = read_rows(tmp_path / "boxes.txt"), rows_of_detections(frames)
+    assert made.frames.tolist() == [1, 1, 3] and made.boxes.dtype == float
+    for name in ("frames", "ids", "boxes", "scores", "visibility"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(made, name))
+    assert all_frames(read, made) == range(1, 4) and all_frames(rows(), rows()) == range(1, 2)
+    assert all_frames(rows(), made) == all_frames(made, rows()) == range(1, 4)
+
+
+def test_the_threshold_on_iou_is_used_everywhere():
+    truth = rows((1, 1, 0, 0, 40, 40, 1), (1, 9, 0, 0, 50, 50, 0))
+    # Seven tenths of the vehicle, and wholly in an ignore region.
+    found = rows((1, 4, 0, 0, 40, 28, 0.9))
+    for threshold, recall in ((0.6, 1), (0.8, 0)):
+        figures = evaluate(truth, found, iou_threshold=threshold)
+        assert (figures["recall"], figures["false positives"]) == (recall, 0)
+        misses, alarms = errors_by_frame(truth, found, range(1, 2), threshold)
+        assert (misses.tolist(), alarms.tolist()) == ([1 - recall], [0])
+        precision, recalls = precision_recall(truth, found, threshold, steps=3)[1:]
+        assert precision.tolist() == recalls.tolist() == [recall] * 3
+
+
+def test_other_frames_excuse_nothing():
+    truth = rows((1, 9, 0, 0, 50, 50, 0), (2, 1, 100, 0, 140, 40, 1))
+    found = rows((1, 4, 100, 0, 140, 40, 0.9), (2, 4, 0, 0, 40, 40, 0.9), (2, 5, 10, 0, 60, 40, 1))
+    assert len(drop_ignored(truth, found).frames) == 3
+    # By half is enough, by less is not.
+    truth = rows((1, 9, 0, 0, 50, 50, 0))
+    found = rows((1, 4, 30, 0, 70, 40, 1), (1, 5, 31, 0, 71, 40, 1))
+    assert drop_ignored(truth, found).ids.tolist() == [5]
+
+
+def test_identities_count_from_nought():
+    truth = rows((1, 0, 0, 0, 40, 40, 1), (2, 0, 0, 0, 40, 40, 1))
+    found = rows((1, 0, 0, 0, 40, 40, 1), (2, 0, 0, 0, 40, 40, 1))
+    figures = evaluate(truth, found)
+    assert figures["IDF1"] == 1 and figures["required boxes"] == 2
+    assert figures["frames to first box"] == {"0 from 1": 0}
+    assert type(figures["misses"]) is int and type(figures["recall"]) is float
+    none = evaluate(truth, rows_of([[], []]))
+    assert set(figures) == set(none) and none["MOTA"] == 0
+    assert evaluate(rows((1, -1, 0, 0, 9, 9, 1)), rows())["MOTA"] == 0
+    unknown = rows((1, -5, 0, 0, 4, 4, 1), (1, -5, 8, 8, 9, 9, 1)).with_unique_ids().ids
+    assert len(set(unknown.tolist())) == 2 and (unknown < 0).all()
+
+
+def test_recall_by_height_and_late_entries():
+    numbers = [*range(1, 11), *range(36, 40), *range(65, 69)]
+    truth = rows(*[(n, 1, 0, 0, 40, 29 if n < 11 else 30, 1) for n in numbers])
+    found = rows(*[(n, 1, 0, 0, 40, 30, 1) for n in numbers if 3 < n < 11 or n > 66])
+    figures = evaluate(truth, found)
+    # Twenty-five frames away are the same visit, twenty-six are another.
+    assert figures["frames to first box"] == {"1 from 1": 3, "1 from 36": None, "1 from 65": 2}
+    recalls = figures["recall by height"]
+    assert recalls["30-40 px"] == pytest.approx(2 / 8) and recalls["100 px and more"] is None
+
+
+def test_a_curve_of_nothing_is_empty():
+    thresholds, precision, recall = precision_recall(TRUTH, rows())
+    assert thresholds.shape == precision.shape == recall.shape == (0,)
+    assert len(precision_recall(TRUTH, rows((1, -1, 0, 0, 9, 9, 1)))[0]) == 40
+
+
+def test_chosen_rows():
+    own = rows(*[(n, n, 0, 0, 9, 9, 1) for n in range(1, 12)])
+    assert own.within(range(3, 10, 3)).frames.tolist() == [3, 6, 9]
+    assert own.within(range(20, 30)).frames.tolist() == []
+    assert rows_of([[(1, 2, 3, 4)], []]).ids.tolist() == [-1]
+
+
+def test_the_last_frame_and_the_largest_id(tmp_path):
+    path = tmp_path / "boxes.txt"
+    path.write_text(f"10000000,{2**40},0,0,4,4,1\n")
+    assert read_rows(path).ids.tolist() == [2**40]
+    path.write_text("10000001,1,0,0,4,4,1")
+    with pytest.raises(ValueError, match="line 1: frame 10000001"):
+        read_rows(path)

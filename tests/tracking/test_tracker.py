@@ -7,7 +7,12 @@ from hypothesis import strategies as st
 
 from vehicle_detection.media.drawing import draw_vehicles, identity_color
 from vehicle_detection.parameters import TrackParams
-from vehicle_detection.tracking.boxes import pairwise_iou, touches_border
+from vehicle_detection.tracking.boxes import (
+    best_iou,
+    clip_to_frame,
+    pairwise_iou,
+    touches_border,
+)
 from vehicle_detection.tracking.tracker import Tracker
 
 
@@ -269,3 +274,68 @@ def test_the_first_twenty_colours_differ():
     colors = np.array([identity_color(i) for i in range(20)], int)
     distance = np.abs(colors[:, None] - colors[None]).sum(axis=2) + 1000 * np.eye(20, dtype=int)
     assert distance.min() > 20
+
+
+class Reference:
+    """A Kalman filter of constant velocity, from the textbook [1]_.
+
+    References
+    ----------
+    .. [1] Y. Bar-Shalom, X. R. Li and T. Kirubarajan, "Estimation with Applications to Tracking
+           and Navigation", 2001, sections 5.2 and 6.3.2.
+    """
+
+    def __init__(self, box, params):
+        height = box[3] - box[1]
+        eye, zero = np.eye(4), np.zeros((4, 4))
+        self.noise = (params.measurement_noise * height) ** 2 * eye
+        self.state = np.concatenate([box, np.zeros(4)])
+        self.covariance = np.block([[self.noise, zero], [zero, 0.1 * self.noise]])
+        self.step = np.block([[eye, eye], [zero, eye]])
+        gain = np.vstack([eye / 2, eye])
+        self.process = (params.process_noise * height) ** 2 * gain @ gain.T
+
+    def predict(self):
+        self.state = self.step @ self.state
+        self.covariance = self.step @ self.covariance @ self.step.T + self.process
+
+    def correct(self, box, score):
+        seen = np.eye(4, 8)
+        noise = self.noise * np.exp(max(0, 1 - score))
+        innovation = seen @ self.covariance @ seen.T + noise
+        gain = self.covariance @ seen.T @ np.linalg.inv(innovation)
+        self.state = self.state + gain @ (box - seen @ self.state)
+        self.covariance = (np.eye(8) - gain @ seen) @ self.covariance
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_tracks_move_like_the_textbooks_filter(seed):
+    rng = np.random.default_rng(seed)
+    params = TrackParams(max_score=50, miss_penalty=0.1, measurement_noise=0.2, process_noise=0.05)
+    tracker, box = Tracker(params), np.array([300.0, 200, 420, 290])
+    tracker.update(box[None], np.array([2.0]))
+    reference = Reference(box, params)
+    for _ in range(12):
+        expected = tracker.predict()
+        reference.predict()
+        np.testing.assert_allclose(expected[0], reference.state[:4], rtol=1e-9)
+        if rng.random() < 0.2:
+            tracker.update(np.empty((0, 4)), np.empty(0))
+            continue
+        found, score = expected[0] + rng.normal(0, 4, 4), rng.uniform(0.1, 2)
+        (track,) = tracker.update(found[None], np.array([score]))
+        reference.correct(found, score)
+        np.testing.assert_allclose(track.box, reference.state[:4], rtol=1e-9)
+
+
+def test_geometry_of_boxes():
+    own = np.array([(0.0, 0, 10, 10), (50, 50, 60, 60)])
+    others = np.array([(5.0, 0, 15, 10), (0, 0, 10, 5)])
+    np.testing.assert_allclose(best_iou(own, others), [0.5, 0])
+    assert best_iou(own, others[:0]).tolist() == [0, 0] and best_iou(own[:0], own).shape == (0,)
+    clipped = clip_to_frame(np.array([(-5.0, -6, 250, 130)]), (100, 200, 3))
+    np.testing.assert_array_equal(clipped, [(0, 0, 200, 100)])
+    nothing = pairwise_iou(np.zeros((1, 4)), np.zeros((1, 4)))
+    assert nothing.dtype == float and nothing.tolist() == [[0]]
+    # Of whole numbers too, the share is none.
+    assert pairwise_iou(boxes((0, 0, 2, 1)), boxes((1, 0, 3, 1)))[0, 0] == pytest.approx(1 / 3)

@@ -55,3 +55,20 @@ def test_plausible_boxes_frame_a_vehicle():
     assert plausible.tolist() == [True, False, False, False, False, False, True]
     half = are_plausible(boxes / 2, (360, 640, 3), ScanParams(smallest=32, largest=400), PARAMS)
     np.testing.assert_array_equal(plausible, half)
+
+
+def test_each_limit_of_size_and_shape():
+    """Just within and just beyond every limit, in a frame of twice the reference's width."""
+    scan = ScanParams(smallest=30, largest=300, reference_width=640)
+    params = SelectionParams(size_range=(0.5, 1.5), aspect_range=(0.5, 3), min_visible=0.6)
+
+    def is_plausible(left, width, height):
+        box = np.array([[left, 10.0, left + width, 10 + height]])
+        return bool(are_plausible(box, (2000, 1280, 3), scan, params)[0])
+
+    # Heights from 30 * 2 * 0.5 to 300 * 2 * 1.5.
+    assert is_plausible(100, 60, 30.1) and not is_plausible(100, 60, 29.9)
+    assert is_plausible(100, 900, 899) and not is_plausible(100, 900, 901)
+    assert is_plausible(100, 50.1, 100) and not is_plausible(100, 49.9, 100)
+    assert is_plausible(100, 299, 100) and not is_plausible(100, 301, 100)
+    assert is_plausible(-39, 100, 60) and not is_plausible(-41, 100, 60)

@@ -1,7 +1,7 @@
 """Videos in and out, a frame at a time, by FFmpeg's libraries.
 
 Reading, what is done with the frames, and writing overlap: each has a thread, and short queues
-between them keep memory flat however long the video is. docs/videos.md explains what is kept.
+between them keep memory flat however long the video is. docs/files.md explains what is kept.
 """
 
 from __future__ import annotations
