@@ -181,7 +181,8 @@ class Vehicle(Viewer):
         boxes = self._grid.to_pixels(cells)
         self._tracker.predict()
         # What lasts needs no further evidence.
-        tracks: list = self._tracker.update(boxes, np.ones(len(boxes)))
+        enough = np.full(len(boxes), self._tracker.params.max_score)
+        tracks: list = self._tracker.update(boxes, enough)
         ids = np.array([track.identity for track in tracks], dtype=int)
         return HeatDetections(hot_windows, heatmap, filtered, self._grid, boxes, scores, ids)
 

@@ -73,7 +73,6 @@ VARIANTS = {
     "no bonus for predicted boxes (track_bonus 0)": selection(track_bonus=0),
     "no offset of scores (score_offset 0)": tracks(score_offset=0),
     "confirmed at once (confirm_at 0)": tracks(confirm_at=0),
-    "lost tracks are forgotten (max_missed 0)": tracks(max_missed=0),
 }
 
 

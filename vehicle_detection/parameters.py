@@ -411,8 +411,6 @@ class TrackParams:
     ----------
     min_iou : float
         Least IoU of a box with the prediction of its track, between 0 and 1.
-    max_missed : int
-        Frames that a known vehicle without a box is remembered: three seconds at 25 a second.
     measurement_noise, process_noise : float
         Standard deviations, in heights of the vehicle: of the edges of a box whose score is 1
         or more, and of the change of their velocity from frame to frame.
@@ -428,7 +426,6 @@ class TrackParams:
     """
 
     min_iou: float = 0.2
-    max_missed: int = 50
     measurement_noise: float = 0.1
     process_noise: float = 0.01
     confirm_at: float = 0.0
@@ -439,8 +436,6 @@ class TrackParams:
     def __post_init__(self):
         if not 0 < self.min_iou < 1:
             raise ValueError(f"min_iou lies between 0 and 1, not at {self.min_iou}")
-        if self.max_missed < 0:
-            raise ValueError("max_missed starts at 0")
         if min(self.measurement_noise, self.process_noise) <= 0:
             raise ValueError("noise is above 0")
         if not 0 <= self.confirm_at <= self.max_score:
@@ -449,11 +444,9 @@ class TrackParams:
             raise ValueError("miss_penalty is above 0, and score_offset starts at 0")
 
 
-# Boxes from heat have lasted already: one is enough.
-HEAT_TRACKS = TrackParams()
-DEFAULT_TRACKS = TrackParams(
-    max_missed=75, confirm_at=2.0, max_score=8.0, score_offset=0.5, miss_penalty=0.9
-)
+# Boxes from heat have lasted already: one is enough, and is remembered for two seconds.
+HEAT_TRACKS = TrackParams(max_score=50.0)
+DEFAULT_TRACKS = TrackParams(confirm_at=2.0, max_score=8.0, score_offset=0.5, miss_penalty=0.9)
 
 
 @dataclass(frozen=True)

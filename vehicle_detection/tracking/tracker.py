@@ -2,8 +2,7 @@
 
 Every track has a Kalman filter of constant velocity, whose measurement noise grows as the
 score of its box falls. Scores accumulate: a track is confirmed as a vehicle once their sum is
-high enough, and coasts without a box until it is used up. A lost track stays for a while: a
-track that is confirmed where it is expected inherits its identity.
+high enough, and is lost when it is used up.
 """
 
 from __future__ import annotations
@@ -26,11 +25,9 @@ class Track:
     Attributes
     ----------
     identity : int
-        From 1, given once the track is confirmed for the first time; 0 until then.
-    is_confirmed : bool
-        Its accumulated score makes it a vehicle now.
+        From 1, given once the track is confirmed as a vehicle; 0 until then.
     score : float
-        Accumulated score, from 0 to `TrackParams.max_score`.
+        Accumulated score, at most `TrackParams.max_score`; a track without any is lost.
     n_missed : int
         Frames since its last box.
     box : ndarray of float, shape (4,)
@@ -39,13 +36,17 @@ class Track:
 
     def __init__(self, box: np.ndarray, score: float, params: Any):
         self.identity = 0
-        self.is_confirmed = False
         self.score = 0.0
         self.n_missed = 0
         self.box = np.asarray(box, float)
         self._params = params
         self._filter, self._measurement_noise = _kalman_filter(self.box, params)
         self._accumulate(score - params.score_offset)
+
+    @property
+    def is_confirmed(self) -> bool:
+        """It is a vehicle, and not lost."""
+        return self.identity > 0 and self.score > 0
 
     def predict(self) -> None:
         """One frame on: `box` is where the vehicle is expected."""
@@ -67,11 +68,6 @@ class Track:
 
     def _accumulate(self, score):
         self.score = min(self.score + score, self._params.max_score)
-        if self.score < 0:
-            self.is_confirmed = False
-            self.score = 0.0
-        elif self.score >= self._params.confirm_at:
-            self.is_confirmed = True
 
 
 def _kalman_filter(box, params):
@@ -108,7 +104,7 @@ class Tracker:
         Returns
         -------
         boxes : ndarray of float, shape (n, 4)
-            Where tracks that had a box in the frame before, and known vehicles, are expected.
+            Where vehicles, and tracks that had a box in the frame before, are expected.
         """
         for track in self._tracks:
             track.predict()
@@ -129,9 +125,7 @@ class Tracker:
             The track of each box, each at most once; None for a box that belongs to no track
             and starts none, because its score is not positive.
         """
-        # Lost tracks do not take part: anything may lie where they are expected.
-        active = [track for track in self._tracks if track.is_confirmed or not track.identity]
-        owners = self._assign(boxes, active)
+        owners = self._assign(boxes)
         for i, (box, score) in enumerate(zip(boxes, scores, strict=True)):
             if owners[i] is not None:
                 owners[i].correct(box, score)
@@ -141,39 +135,20 @@ class Tracker:
         for track in self._tracks:
             if track.n_missed:
                 track.miss()
-        self._identify([t for t in self._tracks if t.is_confirmed and not t.identity])
-        self._tracks = [t for t in self._tracks if self._is_kept(t)]
+        self._tracks = [track for track in self._tracks if track.score > 0]
+        for track in self._tracks:
+            if not track.identity and track.score >= self.params.confirm_at:
+                self._n_identities += 1
+                track.identity = self._n_identities
         return owners
 
-    def coasting_tracks(self) -> list:
-        """Confirmed tracks that have no box in this frame."""
-        return [track for track in self._tracks if track.is_confirmed and track.n_missed]
-
-    def _assign(self, boxes, tracks):
+    def _assign(self, boxes):
         """The track of every box, or None: all together so that the sum of IoU is largest."""
         owners = [None] * len(boxes)
-        expected = stack_boxes([track.box for track in tracks])
+        expected = stack_boxes([track.box for track in self._tracks])
         iou = pairwise_iou(boxes, expected)
         iou[iou < self.params.min_iou] = 0
         for row, column in zip(*linear_sum_assignment(iou, maximize=True), strict=True):
             if iou[row, column] > 0:
-                owners[row] = tracks[column]
+                owners[row] = self._tracks[column]
         return owners
-
-    def _identify(self, confirmed):
-        """Give new vehicles the identity of a track without a box that fits, or a new one."""
-        missing = [track for track in self._tracks if track.identity and track.n_missed]
-        known = self._assign(stack_boxes([track.box for track in confirmed]), missing)
-        for track, before in zip(confirmed, known, strict=True):
-            if before is not None:
-                track.identity = before.identity
-                self._tracks.remove(before)
-            else:
-                self._n_identities += 1
-                track.identity = self._n_identities
-
-    def _is_kept(self, track):
-        """A tentative track must keep a positive score; a lost one may come back for a while."""
-        if track.identity:
-            return track.n_missed <= self.params.max_missed
-        return track.score > 0

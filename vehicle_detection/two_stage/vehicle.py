@@ -46,8 +46,7 @@ class Detections:
     boxes : ndarray of int, shape (k, 4)
         Vehicles.
     scores : ndarray of float, shape (k,)
-        As of the candidates; 0 for a vehicle without a box in this frame, which is shown
-        where it is expected.
+        As of the candidates.
     ids : ndarray of int, shape (k,)
         Identity of each vehicle, from 1, the same in every frame.
     """
@@ -127,8 +126,8 @@ class TwoStageVehicle(Viewer):
         candidates = refine(rgb_frame, candidates, self.detector, discard_below)
         candidates = self._select(candidates)
         tracks = self._tracker.update(candidates.boxes, candidates.scores)
-        seen = stack_boxes([track.box for track in tracks if track and track.is_confirmed])
-        self._memory.learn(seen[self._are_whole_cars(seen)])
+        vehicles = stack_boxes([track.box for track in tracks if track and track.is_confirmed])
+        self._memory.learn(vehicles[self._are_whole_cars(vehicles)])
         return self._detections(proposals, candidates, tracks)
 
     def _next_levels(self):
@@ -180,19 +179,18 @@ class TwoStageVehicle(Viewer):
         return ~at_border.any(axis=1) & (width > self.params.selection.whole_car_aspect * height)
 
     def _detections(self, proposals, candidates, tracks):
-        """Vehicles are the confirmed tracks, with a box in this frame or without."""
-        seen = [i for i, track in enumerate(tracks) if track and track.is_confirmed]
-        coasting = self._tracker.coasting_tracks()
-        vehicles = [tracks[i] for i in seen] + coasting
-        boxes = clip_to_frame(stack_boxes([track.box for track in vehicles]), self._frame_shape)
+        """Vehicles are the confirmed tracks that have a box in this frame."""
+        confirmed = [i for i, track in enumerate(tracks) if track and track.is_confirmed]
+        boxes = stack_boxes([tracks[i].box for i in confirmed])
+        boxes = clip_to_frame(boxes, self._frame_shape)
         return Detections(
             proposals,
             candidates.boxes,
             candidates.scores,
             track_scores=np.array([track.score if track else 0 for track in tracks]),
             boxes=np.rint(boxes).astype(int),
-            scores=np.concatenate([candidates.scores[seen], np.zeros(len(coasting))]),
-            ids=np.array([track.identity for track in vehicles], int),
+            scores=candidates.scores[confirmed],
+            ids=np.array([tracks[i].identity for i in confirmed], int),
         )
 
     def step_pictures(self, rgb_frame: np.ndarray, detections: Any) -> list:
