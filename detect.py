@@ -33,6 +33,7 @@ SHIPPED_PARAMS = {
     "G": ROOT / "param/svc_pickle.p",
     "B": ROOT / "param/svc_b.p",
 }
+FORMAT_NAMES = ("mot", "csv", "json", "coco", "yolo")
 # From a large file to a long wait.
 ENCODER_PRESETS = (
     "ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow",
@@ -58,6 +59,11 @@ def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
         default=Path("output"),
         help="folder to write to, default: output",
     )
+    parser.add_argument(
+        "--format", choices=FORMAT_NAMES, default=FORMAT_NAMES[0], dest="form",
+        help="of the boxes: MOTChallenge rows (default), the same with a head, frames as JSON, "
+        "COCO, or YOLO as CVAT takes it",
+    )  # fmt: skip
     parser.add_argument(
         "--overwrite", action="store_true", help="replace results that are there already"
     )
@@ -171,7 +177,7 @@ def run(arguments: argparse.Namespace) -> int:
     from vehicle_detection.media.annotate import annotate_image, annotate_video
     from vehicle_detection.media.inputs import gather_inputs, require_free_outputs
 
-    sources = gather_inputs(arguments.inputs, arguments.out)
+    sources = gather_inputs(arguments.inputs, arguments.out, arguments.form)
     require_free_outputs(sources, arguments.overwrite)
     arguments.out.mkdir(parents=True, exist_ok=True)
     images = [source for source in sources if not source.is_video]

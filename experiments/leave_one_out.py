@@ -69,9 +69,9 @@ def train_without(group, data, quick, folder):
         if quick:
             training_set = replace(
                 training_set,
-                crops=training_set.crops[::4],
-                square_crops=training_set.square_crops[::4],
-                non_vehicles=training_set.non_vehicles[::4],
+                crops=training_set.crops[::2],
+                square_crops=training_set.square_crops[::2],
+                non_vehicles=training_set.non_vehicles[::2],
             )
         save_detector(train_detector(training_set, jobs=1, params=params), path)
     return path

@@ -279,10 +279,10 @@ class ScanParams:
         IoU above which the worse of two windows is suppressed, between 0 and 1.
     """
 
-    smallest: float = 32
+    smallest: float = 26
     largest: float = 400
     reference_width: float = 1280
-    ratio: float = 1.25
+    ratio: float = 1.3
     cells_per_step: int = 2
     n_groups: int = 5
     threshold: float = -0.5
@@ -470,7 +470,7 @@ class TwoStageParams:
 VIDEO_PARAMS = TwoStageParams()
 # A still is scanned at all scales at once, and has no other frame to agree with.
 STILL_PARAMS = TwoStageParams(
-    scan=ScanParams(cells_per_step=1, n_groups=1, n_proposals=12),
+    scan=ScanParams(smallest=24, ratio=1.25, cells_per_step=1, n_groups=1, n_proposals=12),
     tracks=TrackParams(confirm_at=0.6),
 )
 
@@ -596,7 +596,7 @@ class TrainingParams:
     template_C: float = 5e-4
     scorer_C: float = 0.1
     ridge_alpha: float = 1.0
-    scorer_size: tuple = (124, 2000)
+    scorer_size: tuple = (124, 4000)
     regressor_size: tuple = (64, 3000)
     vehicle_score: float = 1.5
     sure_score: float = 0.5
@@ -612,4 +612,4 @@ class TrainingParams:
 
 DEFAULT_TRAINING = TrainingParams()
 # For machines without footage, and to rank settings quickly.
-QUICK_TRAINING = TrainingParams(per_camera=60, crop_views=4)
+QUICK_TRAINING = TrainingParams(per_camera=150, crop_views=4)

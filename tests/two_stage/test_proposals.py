@@ -48,7 +48,7 @@ def anywhere(n_rows):
     n_groups=st.integers(1, 6),
 )
 def test_groups_share_out_all_levels(width, shape, ratio, n_groups):
-    scan = ScanParams(ratio=ratio, n_groups=n_groups)
+    scan = ScanParams(smallest=32, ratio=ratio, n_groups=n_groups)
     frame = round(width * shape), width
     (every,) = level_groups(frame, replace(scan, n_groups=1), anywhere(frame[0]))
     groups = level_groups(frame, scan, anywhere(frame[0]))

@@ -14,7 +14,8 @@ from pathlib import Path
 from vehicle_detection.evaluation.metrics import evaluate
 from vehicle_detection.evaluation.plots import draw_evaluation, table
 from vehicle_detection.media.files import written_whole
-from vehicle_detection.media.mot import all_frames, frame_range, read_rows, require_sizes
+from vehicle_detection.media.formats import frame_size, read_boxes
+from vehicle_detection.media.mot import all_frames, frame_range, require_sizes
 
 
 def main() -> None:
@@ -23,8 +24,11 @@ def main() -> None:
         prog="python -m vehicle_detection.evaluation",
         description="Hold detections against the truth.",
     )
-    parser.add_argument("truth", type=Path, help="MOTChallenge rows, conf 0 to ignore")
-    parser.add_argument("detections", type=Path, help="MOTChallenge rows of detect.py")
+    parser.add_argument(
+        "truth", type=Path, help="MOTChallenge rows, conf 0 to ignore; COCO (.json); YOLO (.zip)"
+    )
+    parser.add_argument("detections", type=Path, help="boxes of detect.py")
+    parser.add_argument("--size", type=frame_size, metavar="WxH", help="of frames, for YOLO")
     parser.add_argument("--frames", metavar="A:B[:STEP]", help="both included")
     parser.add_argument("--iou", type=float, default=0.5, help="of a match, default: 0.5")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
@@ -32,7 +36,8 @@ def main() -> None:
     arguments = parser.parse_args()
     if not 0 < arguments.iou <= 1:
         raise ValueError(f"--iou lies between 0 and 1, not at {arguments.iou}")
-    truth, detections = read_rows(arguments.truth, is_truth=True), read_rows(arguments.detections)
+    truth = read_boxes(arguments.truth, arguments.size, is_truth=True)
+    detections = read_boxes(arguments.detections, arguments.size)
     require_sizes(truth, arguments.truth)
     asked_for = arguments.frames
     frames = frame_range(asked_for) if asked_for else all_frames(truth, detections)

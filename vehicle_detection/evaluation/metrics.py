@@ -37,7 +37,8 @@ def match(required: np.ndarray, detected: np.ndarray, iou_threshold: float = 0.5
         Indices of the pairs.
     """
     iou = pairwise_iou(required, detected)
-    gain = np.where(iou >= iou_threshold, 1 + iou, 0)
+    # A pair more outweighs any IoU of the others.
+    gain = np.where(iou >= iou_threshold, min(iou.shape) + iou, 0)
     rows, columns = linear_sum_assignment(gain, maximize=True)
     good = gain[rows, columns] > 0
     return rows[good], columns[good]

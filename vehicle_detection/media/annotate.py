@@ -11,11 +11,12 @@ from tqdm.auto import tqdm
 
 from vehicle_detection.media.files import written_whole
 from vehicle_detection.media.images import encoded_image, read_image
-from vehicle_detection.media.mot import mot_rows
+from vehicle_detection.media.mot import joined, rows_of_detections
 from vehicle_detection.media.videos import VideoReader, encoding
 
 if TYPE_CHECKING:
     from vehicle_detection.media.inputs import Source
+    from vehicle_detection.media.mot import Rows
     from vehicle_detection.media.viewer import Viewer
 
 
@@ -28,12 +29,7 @@ def naming(source: str | os.PathLike) -> Iterator:
         raise ValueError(f"{source}: {error}") from error
 
 
-def as_text(rows: list) -> bytes:
-    """Lines of a text file."""
-    return "".join(row + "\n" for row in rows).encode()
-
-
-def annotate_image(source: Source, vehicle: Viewer) -> list:
+def annotate_image(source: Source, vehicle: Viewer) -> Rows:
     """Detect in one image; write the annotated image and its boxes, both or neither.
 
     Parameters
@@ -44,18 +40,17 @@ def annotate_image(source: Source, vehicle: Viewer) -> list:
 
     Returns
     -------
-    rows : list of str
-        See `mot.mot_rows`.
+    rows : Rows
     """
     img = read_image(source.path)
     vehicle.reset()
     with naming(source.path):
         detections = vehicle.detect(img)
         picture = encoded_image(source.picture, vehicle.draw(img, detections))
-    rows = mot_rows(1, detections)
+    rows = rows_of_detections([detections])
     with written_whole(source.picture) as image, written_whole(source.rows) as text:
         image.write(picture)
-        text.write(as_text(rows))
+        text.write(source.encoded(rows, img.shape, 1))
     return rows
 
 
@@ -90,6 +85,7 @@ def annotate_video(
     drawings = {source.picture: vehicle.draw}
     if split_screen:
         drawings[source.split_screen] = vehicle.draw_split_screen
+    found: list = []
     with ExitStack() as stack:
         # Encoders end first, then all files get their names.
         text = stack.enter_context(written_whole(source.rows))
@@ -105,5 +101,8 @@ def annotate_video(
                 pictures = [draw(frame.rgb, detections) for draw in drawings.values()]
             for write, picture in zip(writers, pictures, strict=True):
                 write(picture, frame.time)
-            text.write(as_text(mot_rows(frame.number, detections)))
+            found.append(rows_of_detections([detections], [frame.number]))
+        shape = reader.info.height, reader.info.width
+        last = frame.number if found else 0
+        text.write(source.encoded(joined(found), shape, last))
     return reader.losses() if reader.lost else ""

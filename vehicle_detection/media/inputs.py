@@ -6,15 +6,21 @@ import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from vehicle_detection.media.files import require_free
+from vehicle_detection.media.formats import FORMATS, Boxes
 from vehicle_detection.media.images import (
     IMAGE_SUFFIXES,
     image_format,
     is_hidden,
     natural_order,
 )
-from vehicle_detection.media.videos import VIDEO_SUFFIXES, is_video
+from vehicle_detection.media.videos import VIDEO_SUFFIXES
+from vehicle_detection.media.videos import is_video as holds_video
+
+if TYPE_CHECKING:
+    from vehicle_detection.media.mot import Rows
 
 _HEADER_BYTES = 1 << 16
 
@@ -28,6 +34,8 @@ class Source:
     path : Path
     is_video : bool
         Else it is an image.
+    form : str
+        Of the file of boxes, one of `formats.FORMATS`.
     picture, rows : Path
         The annotated copy, and the file of boxes.
     split_screen : Path
@@ -36,6 +44,7 @@ class Source:
 
     path: Path
     is_video: bool
+    form: str
     picture: Path
     rows: Path
     split_screen: Path
@@ -45,8 +54,14 @@ class Source:
         """All files that may be written for it."""
         return [self.picture, self.rows, *([self.split_screen] if self.is_video else [])]
 
+    def encoded(self, rows: Rows, frame_shape: tuple, n_frames: int) -> bytes:
+        """Content of the file of boxes."""
+        size = frame_shape[1], frame_shape[0]
+        boxes = Boxes(self.path.name, self.is_video, size, n_frames, rows)
+        return FORMATS[self.form].write(boxes)
 
-def gather_inputs(paths: Iterable, out: str | os.PathLike) -> list:
+
+def gather_inputs(paths: Iterable, out: str | os.PathLike, form: str = "mot") -> list:
     """Images and videos that some paths name, folders being searched at any depth.
 
     What a file is, its content says, not its name. Of folders, hidden files and what lies in
@@ -58,6 +73,8 @@ def gather_inputs(paths: Iterable, out: str | os.PathLike) -> list:
     out : path
         Folder to write to. Folders that are searched keep their structure there, and where two
         inputs have one name, the second gets a number.
+    form : str
+        Of the files of boxes, one of `formats.FORMATS`.
 
     Returns
     -------
@@ -74,7 +91,7 @@ def gather_inputs(paths: Iterable, out: str | os.PathLike) -> list:
         if not found:
             raise FileNotFoundError(f"{path}: no images or videos in it")
         for one, name in found:
-            source = _with_free_names(one, _kind(one), out / name, taken)
+            source = _with_free_names(one, _kind(one), form, out / name, taken)
             taken.update(map(_key, source.outputs))
             sources.append(source)
     return sources
@@ -100,7 +117,7 @@ def _kind_by_content(path):
     with open(path, "rb") as file:
         if image_format(file.read(_HEADER_BYTES)):
             return "image"
-    return "video" if is_video(path) else None
+    return "video" if holds_video(path) else None
 
 
 def _kind(path):
@@ -117,14 +134,16 @@ def _kind(path):
     return kind
 
 
-def _with_free_names(path, kind, output, taken):
+def _with_free_names(path, kind, form, output, taken):
     """The source with the first names that no other has."""
     suffix = output.suffix if output.suffix.lower() in IMAGE_SUFFIXES else ".png"
+    is_video = kind == "video"
+    of_rows = FORMATS[form].of_video if is_video else FORMATS[form].of_image
     for stem in _stems(output.stem):
         beside = output.with_name
         source = Source(
-            path, kind == "video", beside(stem + (".mp4" if kind == "video" else suffix)),
-            beside(f"{stem}.txt"), beside(f"{stem}_split.mp4"),
+            path, is_video, form, beside(stem + (".mp4" if is_video else suffix)),
+            beside(stem + of_rows), beside(f"{stem}_split.mp4"),
         )  # fmt: skip
         if not taken.intersection(map(_key, source.outputs)):
             return source

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -207,26 +208,57 @@ def rows_of(boxes: np.ndarray) -> Rows:
     return Rows(frames, unknown, stacked.astype(float), scores, visibility=unknown.astype(float))
 
 
-def rows_of_detections(detections: list) -> Rows:
-    """Rows of the detections of the frames of a video, from frame 1 on.
+def rows_of_detections(detections: list, numbers: Sequence | None = None) -> Rows:
+    """Rows of the detections of the frames of a video.
 
     Parameters
     ----------
     detections : list
         With `boxes`, `ids` and `scores` each, as `detect` returns them.
+    numbers : sequence of int, optional
+        Of the frames; from 1 on by default.
 
     Returns
     -------
     rows : Rows
     """
-    frames = np.repeat(np.arange(1, len(detections) + 1), [len(one.ids) for one in detections])
-    boxes = np.concatenate([one.boxes for one in detections]).astype(float)
-    ids, scores = (np.concatenate([getattr(d, n) for d in detections]) for n in ("ids", "scores"))
-    return Rows(frames, ids, boxes, scores, visibility=np.full(len(frames), -1.0))
+    counts = [len(one.ids) for one in detections]
+    frames = np.repeat(range(1, len(detections) + 1) if numbers is None else numbers, counts)
+    boxes = stacked([one.boxes for one in detections], (0, 4)).astype(float)
+    ids, scores = (stacked([getattr(d, n) for d in detections], 0) for n in ("ids", "scores"))
+    unknown = np.full(len(frames), -1.0)
+    return Rows(frames.astype(np.int64), ids.astype(np.int64), boxes, scores, visibility=unknown)
+
+
+def stacked(arrays: list, empty: Any) -> np.ndarray:
+    """Arrays one after the other, also if there is none; `empty` is the shape of nothing."""
+    return np.concatenate([np.empty(empty), *arrays])
+
+
+def joined(parts: list) -> Rows:
+    """Rows one after the other, also if there are none."""
+    nothing = rows_of_detections([])
+    names = vars(nothing)
+    return Rows(
+        **{
+            name: np.concatenate([getattr(part, name) for part in (nothing, *parts)])
+            for name in names
+        }
+    )
+
+
+def mot_lines(rows: Rows) -> list:
+    """Lines of a MOTChallenge file: frame,id,left,top,width,height,score,-1,-1,-1."""
+    sizes = rows.boxes[:, 2:] - rows.boxes[:, :2]
+    values = zip(rows.frames, rows.ids, rows.boxes, sizes, rows.scores, strict=True)
+    return [
+        f"{frame},{identity},{left:.10g},{top:.10g},{width:.10g},{height:.10g},{score:.3f},-1,-1,-1"
+        for frame, identity, (left, top, _, _), (width, height), score in values
+    ]
 
 
 def mot_rows(frame_number: int, detections: Any) -> list:
-    """Detections of one frame as rows of a MOTChallenge file.
+    """Detections of one frame as lines of a MOTChallenge file.
 
     Parameters
     ----------
@@ -236,16 +268,6 @@ def mot_rows(frame_number: int, detections: Any) -> list:
 
     Returns
     -------
-    rows : list of str
-        frame,id,left,top,width,height,score,-1,-1,-1, the id constant per vehicle.
-
-    References
-    ----------
-    .. [1] L. Leal-Taixe et al., "MOTChallenge 2015", arXiv:1504.01942.
+    lines : list of str
     """
-    return [
-        f"{frame_number},{identity},{left},{top},{right - left},{bottom - top},{score:.3f},-1,-1,-1"
-        for identity, (left, top, right, bottom), score in zip(
-            detections.ids, detections.boxes, detections.scores, strict=True
-        )
-    ]
+    return mot_lines(rows_of_detections([detections], [frame_number]))

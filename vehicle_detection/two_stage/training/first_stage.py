@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 MINING_SCAN = ScanParams(cells_per_step=1, n_groups=1, n_proposals=3, overlap=0.6)
 # A vehicle is one for a template whose shape differs by no more than this factor.
 _SHAPE_TOLERANCE = 1.35
-# Logarithm of the largest by the smallest random window: about that of the scan's levels.
-_HEIGHT_RANGE = 2.2
 
 
 class WindowSamples:
@@ -157,12 +155,8 @@ def surrounding_windows(
     rows, columns = img.shape[:2]
     where = prior_reach(rows)
     for i, window_columns in enumerate(WINDOW_COLUMNS):
-        height = (
-            DEFAULT_SCAN.smallest
-            * columns
-            / DEFAULT_SCAN.reference_width
-            * np.exp(rng.uniform(0, 2.2, count))
-        )
+        sizes = np.log([DEFAULT_SCAN.smallest, DEFAULT_SCAN.largest])
+        height = np.exp(rng.uniform(*sizes, count)) * columns / DEFAULT_SCAN.reference_width
         half = np.stack([height * window_columns / WINDOW_ROWS, height], axis=1) / 2
         x = rng.uniform(0, columns, count)
         low = where.horizon[0] + (where.ratio[0] - 0.5) * height
