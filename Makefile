@@ -2,6 +2,8 @@
 # make test       the tests
 # make fuzz       ten thousand damaged files of each kind: some minutes
 # make mutants    how many small changes of the deciding modules the tests notice: five minutes
+# make data       the course's images and videos into data/ [FROM=archives MIRROR=url]
+# make real       train on them, the notebooks on them, the annotated project video
 # make lint       style, types of public functions
 # make video VIDEO=path/to/drive.mp4 [OPTIONS=--overwrite]
 # make train DATA=path/to/folder   with vehicles/ and non-vehicles/ in it
@@ -15,11 +17,13 @@ BIN := .venv/bin
 DETECTOR ?= param/detector.npz
 PRESET ?= G
 # Recipes see them as variables of the shell, which it takes as they are.
-export VIDEO DATA DETECTOR PRESET PYTHON
+export VIDEO FROM MIRROR DATA DETECTOR PRESET PYTHON
 REAL := ../shared
+# Boxes of the project video, if there are some.
+TRUTH := $(wildcard $(REAL)/truth/project_video.gt.txt)
 NOTEBOOKS := image_pipeline video_pipeline two_stage
 
-.PHONY: all notebooks test fuzz mutants test-dask lint video train detector evaluate docs clean
+.PHONY: all data real notebooks test fuzz mutants test-dask lint video train detector evaluate docs clean
 .DELETE_ON_ERROR:
 
 all: notebooks
@@ -53,7 +57,7 @@ mutants: .venv/installed
 
 test-dask: .venv/installed
 	$(BIN)/pip install --quiet --disable-pip-version-check -r requirements-dask.txt
-	$(BIN)/python -m pytest tests/experiments
+	$(BIN)/python -m pytest tests/experiments tests/test_detect.py tests/compiled -k "dask or scheduler"
 
 lint: .venv/installed
 	$(BIN)/ruff check .
@@ -76,6 +80,20 @@ detector: .venv/installed
 	$(BIN)/python -m vehicle_detection.two_stage.training --out output/detector.npz \
 		--footage output/scenes/motorway/scenes output/scenes/motorway/scenes.gt.txt \
 		--footage output/scenes/town/scenes output/scenes/town/scenes.gt.txt
+
+data: .venv/installed
+	$(BIN)/python -m vehicle_detection.media.download $${FROM:+--from "$$FROM"} $${MIRROR:+--mirror "$$MIRROR"}
+
+real: .venv/installed
+	@test -d data/vehicles || { echo 'error: no data/: make data first'; exit 1; }
+	$(BIN)/python train.py data --out output/real/svc_pickle.p
+	$(BIN)/papermill --no-progress-bar image_pipeline.ipynb output/real/image_pipeline.ipynb \
+		-p test_images data/test_images -p param output/real/svc_pickle.p
+	for name in video_pipeline two_stage; do \
+		$(BIN)/papermill --no-progress-bar $$name.ipynb output/real/$$name.ipynb \
+			-p output output/real/$$name -p param output/real/svc_pickle.p \
+			-y "{overwrite: true, video: data/project_video.mp4, truth: '$(TRUTH)', first_frame: 240}" || exit 1; \
+	done
 
 evaluate: .venv/installed
 	$(BIN)/python detect.py --overwrite --param "$$DETECTOR"

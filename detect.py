@@ -25,6 +25,9 @@ from vehicle_detection.parameters import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from vehicle_detection.media.inputs import Source
     from vehicle_detection.parameters import SearchParams
 
 ROOT = Path(__file__).parent
@@ -67,6 +70,17 @@ def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
     parser.add_argument(
         "--overwrite", action="store_true", help="replace results that are there already"
     )
+    parser.add_argument(
+        "--resume", action="store_true",
+        help="keep a list of what is finished, and skip what was finished with the same settings",
+    )  # fmt: skip
+    parser.add_argument(
+        "--jobs", type=int, default=1, help="inputs at once; -1: one a core; default: 1"
+    )
+    parser.add_argument(
+        "--scheduler", metavar="tcp://HOST:PORT",
+        help="of a Dask cluster whose workers see the same files: inputs are spread over it",
+    )  # fmt: skip
     parser.add_argument("--quiet", action="store_true", help="print nothing but what is wrong")
     parser.add_argument(
         "--method", choices=METHODS, default=METHODS[0],
@@ -163,6 +177,63 @@ def open_vehicle(arguments: argparse.Namespace, is_still: bool) -> Any:
     return Vehicle(calib, classifier, chosen_search(arguments), heat_filter)
 
 
+def annotate(source: Source, arguments: argparse.Namespace, vehicle: Any = None) -> tuple:
+    """Detect in one input and write what was found.
+
+    Parameters
+    ----------
+    source : Source
+    arguments : argparse.Namespace
+    vehicle : TwoStageVehicle or Vehicle, optional
+        To detect with; made as the command line asks by default.
+
+    Returns
+    -------
+    source : Source
+    failure, losses : str
+        What went wrong, and which frames could not be decoded; empty if nothing.
+    """
+    from vehicle_detection.media.annotate import annotate_image, annotate_video
+
+    try:
+        vehicle = vehicle or open_vehicle(arguments, is_still=not source.is_video)
+        if not source.is_video:
+            annotate_image(source, vehicle)
+            return source, "", ""
+        options = arguments.split_screen, arguments.preset, arguments.quiet
+        return source, "", annotate_video(source, vehicle, *options)
+    except (OSError, ValueError) as error:
+        return source, str(error), ""
+
+
+def one_after_the_other(sources: list, arguments: argparse.Namespace) -> Iterator:
+    """Yield what `annotate` returns, images first, with a progress bar for each video."""
+    from tqdm.auto import tqdm
+
+    images = [source for source in sources if not source.is_video]
+    if images:
+        still = open_vehicle(arguments, is_still=True)
+        for source in tqdm(images, "images", unit="image", disable=arguments.quiet):
+            yield annotate(source, arguments, still)
+    for source in sources:
+        if source.is_video:
+            yield annotate(source, arguments, open_vehicle(arguments, is_still=False))
+
+
+def side_by_side(sources: list, arguments: argparse.Namespace) -> Iterator:
+    """Yield what `annotate` returns, from several processes, with a progress bar for all."""
+    from functools import partial
+
+    from tqdm.auto import tqdm
+
+    from vehicle_detection.compiled.processes import each_at_once, workers
+
+    alone = argparse.Namespace(**(vars(arguments) | {"quiet": True}))
+    with workers(arguments.scheduler, arguments.jobs):
+        results = each_at_once(partial(annotate, arguments=alone), sources)
+        yield from tqdm(results, "inputs", len(sources), disable=arguments.quiet)
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Annotate all inputs; what is wrong with one does not stop the others.
 
@@ -172,36 +243,38 @@ def run(arguments: argparse.Namespace) -> int:
         See `vehicle_detection.command_line`.
     """
     # Not at the top: `--help` would wait for the video and array libraries.
-    from tqdm.auto import tqdm
-
-    from vehicle_detection.media.annotate import annotate_image, annotate_video
     from vehicle_detection.media.inputs import gather_inputs, require_free_outputs
+    from vehicle_detection.media.journal import Journal
 
     sources = gather_inputs(arguments.inputs, arguments.out, arguments.form)
-    require_free_outputs(sources, arguments.overwrite)
+    # Before any work, for mistakes in parameter files.
+    for is_still in {not source.is_video for source in sources}:
+        open_vehicle(arguments, is_still)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    images = [source for source in sources if not source.is_video]
-    videos = [source for source in sources if source.is_video]
+    journal = Journal(arguments.out, settings_of(arguments)) if arguments.resume else None
+    if journal:
+        sources = [source for source in sources if not journal.has(source)]
+    require_free_outputs(sources, arguments.overwrite or arguments.resume)
+    several = arguments.scheduler or arguments.jobs != 1
+    annotated = side_by_side if several and len(sources) > 1 else one_after_the_other
     failures, losses = [], []
-
-    def attempt(annotate, source, *rest):
-        """Note what is wrong with an input."""
-        try:
-            lost = annotate(source, *rest)
-        except (OSError, ValueError) as error:
-            failures.append(str(error))
-        else:
-            losses.extend([f"{source.path}: {lost}"] if source.is_video and lost else [])
-
-    if images:
-        still = open_vehicle(arguments, is_still=True)
-        for source in tqdm(images, "images", unit="image", disable=arguments.quiet):
-            attempt(annotate_image, source, still)
-    for source in videos:
-        vehicle = open_vehicle(arguments, is_still=False)
-        options = arguments.split_screen, arguments.preset, arguments.quiet
-        attempt(annotate_video, source, vehicle, *options)
+    for source, failure, lost in annotated(sources, arguments):
+        if failure:
+            failures.append(failure)
+        elif journal:
+            journal.add(source)
+        losses += [f"{source.path}: {lost}"] if lost else []
     return report(arguments, len(sources), failures, losses)
+
+
+def settings_of(arguments: argparse.Namespace) -> dict:
+    """All that results depend on."""
+    from vehicle_detection.media.journal import digest
+
+    files = arguments.calib, arguments.param or SHIPPED_PARAMS[arguments.method]
+    names = "method", "form", "preset", "split_screen", "horizon", "scan_every"
+    settings = {name: getattr(arguments, name) for name in names}
+    return settings | {"files": [digest(path) if path else None for path in files]}
 
 
 def report(arguments: argparse.Namespace, count: int, failures: list, losses: list) -> int:

@@ -20,7 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.table import RESULTS, read_results, run_all, workers
+from experiments.table import RESULTS, read_results, run_all
+from vehicle_detection.compiled.processes import workers
 from vehicle_detection.evaluation.metrics import evaluate
 from vehicle_detection.evaluation.stills import StillFigures, score_folder
 from vehicle_detection.evaluation.stills import table as stills_table

@@ -11,7 +11,6 @@ at a time as there are cores or workers, and resumes where it was stopped.
 from vehicle_detection import command_line  # isort: split
 
 import argparse
-import contextlib
 import csv
 import hashlib
 import io
@@ -21,7 +20,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from joblib import Parallel, delayed, parallel_config
+from joblib import Parallel, delayed
 from scipy.stats import spearmanr
 from sklearn.metrics import roc_auc_score
 from sklearn.model_selection import GroupKFold, train_test_split
@@ -31,7 +30,7 @@ from pipeline_functions import extract_features
 from train import fit_linear, fit_searched
 from vehicle import Vehicle
 from vehicle_detection.classifier import Classifier
-from vehicle_detection.compiled.processes import begin_worker
+from vehicle_detection.compiled.processes import workers
 from vehicle_detection.evaluation.metrics import evaluate
 from vehicle_detection.media.files import write_whole, written_whole
 from vehicle_detection.media.mot import read_rows, rows_of
@@ -179,31 +178,6 @@ def write_results(path, results):
     for identity in sorted(results, key=lambda value: (len(value), value)):
         writer.writerow(results[identity])
     write_whole(path, text.getvalue())
-
-
-@contextlib.contextmanager
-def workers(scheduler, jobs, large):
-    """Run joblib's work on this machine's cores, or on the workers of a Dask scheduler.
-
-    Parameters
-    ----------
-    scheduler : str or None
-        Address of a `dask scheduler`, tcp://host:port.
-    jobs : int
-    large : list
-        What is sent to the workers once instead of with every task.
-    """
-    if scheduler is None:
-        with parallel_config("loky", n_jobs=jobs, initializer=begin_worker):
-            yield
-        return
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise ValueError("--scheduler needs: pip install -r requirements-dask.txt") from error
-
-    with Client(scheduler), parallel_config(backend="dask", scatter=large):
-        yield
 
 
 def run_all(configurations, results_path, task, arguments, wanted_settings):

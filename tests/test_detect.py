@@ -1,5 +1,6 @@
 """The command line of detect.py."""
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -166,3 +167,67 @@ def test_what_is_wrong_with_a_frame_names_the_file(param, tmp_path):
     assert result.stderr.splitlines()[-1].startswith(
         f"error: {tmp_path / 'tiny.png'}: no window fits"
     )
+
+
+def test_a_run_is_continued(tmp_path):
+    """What has its results from the same settings is skipped, and nothing else."""
+    save_detector(random_detector(3), tmp_path / "detector.npz")
+    for name in ("a", "b"):
+        write_image(tmp_path / f"in/{name}.png", next(moving_frames(1)))
+    out = tmp_path / "out"
+    command = tmp_path / "in", "--out", out, "--param", tmp_path / "detector.npz", "--resume"
+    assert "wrote 2 of 2" in run(*command).stdout
+    assert "wrote 0 of 0" in run(*command).stdout
+    (out / "b.txt").unlink()
+    assert "wrote 1 of 1" in run(*command).stdout
+    write_image(tmp_path / "in/a.png", textured_image(1, 180, 320))
+    assert "wrote 1 of 1" in run(*command).stdout
+    assert "wrote 2 of 2" in run(*command, "--format", "json").stdout
+    save_detector(random_detector(4), tmp_path / "detector.npz")
+    assert "wrote 2 of 2" in run(*command).stdout
+    (out / ".finished.json").write_text("[1")
+    damaged = run(*command)
+    assert damaged.returncode == 1 and "damaged: delete it" in damaged.stderr
+
+
+@pytest.fixture
+def drives(tmp_path):
+    """Three short clips and a still, with the shipped detector some boxes in each."""
+    for name in ("gps_track.mp4", "av1.mp4", "sound.mp4"):
+        (tmp_path / "in").mkdir(exist_ok=True)
+        shutil.copy(CASES / name, tmp_path / "in")
+    return tmp_path / "in"
+
+
+def texts(folder):
+    return {path.name: path.read_text() for path in folder.glob("*.txt")}
+
+
+def test_several_at_once_give_the_same(drives, tmp_path):
+    (drives / "bad.mp4").write_text("text")
+    for jobs in (1, 2):
+        result = run(drives, "--out", tmp_path / f"{jobs}", "--jobs", jobs)
+        assert result.returncode == 1 and "wrote 3 of 4" in result.stdout
+        assert "bad.mp4: not a readable video" in result.stderr.splitlines()[-1]
+    assert texts(tmp_path / "1") == texts(tmp_path / "2")
+    assert len(texts(tmp_path / "1")) == 3 and all(texts(tmp_path / "1").values())
+
+
+def test_over_dask_with_two_workers(drives, tmp_path):
+    distributed = pytest.importorskip("distributed", reason="dask.distributed is optional")
+    assert run(drives, "--out", tmp_path / "alone").returncode == 0
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as c:
+        result = run(drives, "--out", tmp_path / "dask", "--scheduler", c.scheduler_address)
+    assert result.returncode == 0, result.stderr
+    assert texts(tmp_path / "alone") == texts(tmp_path / "dask")
+    assert all(texts(tmp_path / "dask").values())
+
+
+@pytest.mark.parametrize(
+    ("name", "suffix"), [("csv", "csv"), ("coco", "coco.json"), ("yolo", "yolo.zip")]
+)
+def test_other_formats(tmp_path, name, suffix):
+    clip = write_video(tmp_path / "clip.mp4", list(moving_frames(3)))
+    result = run(clip, "--out", tmp_path / "out", "--format", name)
+    assert result.returncode == 0, result.stderr
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"clip.mp4", f"clip.{suffix}"}

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from conftest import ROOT
-from vehicle_detection.compiled.processes import in_parallel
+from vehicle_detection.compiled.processes import each_at_once, in_parallel, workers
 
 
 def squared(number):
@@ -31,7 +31,7 @@ def test_results_come_in_order(jobs):
 _PROGRAM = """
 import os, time
 from vehicle_detection import command_line
-from vehicle_detection.compiled.processes import in_parallel
+from vehicle_detection.compiled.processes import each_at_once, in_parallel, workers
 
 def work(number):
     with open("pids", "a") as file:
@@ -71,3 +71,26 @@ def test_no_worker_is_left(tmp_path, how, code):
             return
         time.sleep(0.1)
     pytest.fail(f"still there: {left}")
+
+
+def killed_once(item):
+    """Squares a number; the first process to take 3 is killed."""
+    number, marker = item
+    if number == 3 and not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return item, number**2
+
+
+def test_a_worker_that_is_killed_loses_only_what_it_was_at(tmp_path):
+    items = [(number, tmp_path / "marker") for number in range(8)]
+    with workers(None, 2):
+        results = dict(each_at_once(killed_once, items))
+    assert {item[0]: value for item, value in results.items()} == {n: n**2 for n in range(8)}
+    assert (tmp_path / "marker").exists()
+
+
+def test_a_missing_scheduler_is_said():
+    pytest.importorskip("distributed", reason="dask.distributed is optional")
+    with pytest.raises(OSError, match="tcp://127.0.0.1:9"), workers("tcp://127.0.0.1:9", 1):
+        pass

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import CASES, ROOT
+from vehicle_detection.evaluation.hota import hota
 from vehicle_detection.evaluation.metrics import (
     drop_ignored,
     errors_by_frame,
@@ -397,3 +398,33 @@ def test_the_last_frame_and_the_largest_id(tmp_path):
     path.write_text("10000001,1,0,0,4,4,1")
     with pytest.raises(ValueError, match="line 1: frame 10000001"):
         read_rows(path)
+
+
+def test_hota_by_hand():
+    """One vehicle in four frames, found in three of them under two numbers, and a false alarm.
+
+    At every threshold there are 3 matches, 1 miss, 1 false alarm: detection 3 / 5. The match of
+    number 7 in two frames has association 2 / 4, that of number 8 in one frame 1 / 4.
+    """
+    truth = rows(*[(n, 1, 0, 0, 40, 40, 1) for n in range(1, 5)])
+    found = rows(
+        (1, 7, 0, 0, 40, 40, 1), (2, 7, 0, 0, 40, 40, 1), (3, 8, 0, 0, 40, 40, 1),
+        (4, 9, 300, 0, 340, 40, 1),
+    )  # fmt: skip
+    association = (2 * 2 / 4 + 1 / 4) / 3
+    assert hota(truth, found) == pytest.approx(np.sqrt(3 / 5 * association))
+    assert hota(truth, truth) == 1 and hota(truth, rows()) == 0 and hota(rows(), found) is None
+    assert evaluate(truth, found)["HOTA"] == pytest.approx(hota(truth, found))
+    # A box of an IoU of 0.6 is found at twelve of the nineteen thresholds.
+    lower = rows(*[(n, 7, 0, 0, 40, 24, 1) for n in range(1, 5)])
+    assert hota(truth, lower) == pytest.approx(12 / 19)
+
+
+def test_hota_matches_what_belongs_together():
+    """Two boxes that overlap one vehicle: the one that follows it longest is taken."""
+    truth = rows(*[(n, 1, 0, 0, 100, 100, 1) for n in range(1, 11)])
+    faithful = [(n, 3, 0, 0, 100, 90, 1) for n in range(1, 11)]
+    found = rows(*faithful, (5, 4, 0, 0, 100, 100, 1))
+    # Nine tenths are enough for eighteen thresholds: ten matches and a false alarm.
+    expected = 18 * np.sqrt(10 / 11)
+    assert hota(truth, found) * 19 == pytest.approx(expected, abs=0.35)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from joblib import Parallel, delayed, parallel_config
+from joblib.externals.loky.process_executor import TerminatedWorkerError
 from threadpoolctl import threadpool_limits
 from tqdm.auto import tqdm
 
 from vehicle_detection.compiled.threads import work_alone
 
 _SECONDS_BETWEEN_LOOKS = 0.5
+_ATTEMPTS = 5
 
 
 def in_parallel(function: Callable, items: list, jobs: int, title: str) -> Iterator:
@@ -33,6 +36,66 @@ def in_parallel(function: Callable, items: list, jobs: int, title: str) -> Itera
     with parallel_config("loky", n_jobs=jobs, initializer=begin_worker):
         parallel = Parallel(return_as="generator")
     yield from tqdm(parallel(delayed(function)(item) for item in items), title, len(items))
+
+
+@contextlib.contextmanager
+def workers(scheduler: str | None, jobs: int, large: Sequence = ()) -> Iterator:
+    """Run joblib's work on this machine's cores, or on the workers of a Dask scheduler.
+
+    Parameters
+    ----------
+    scheduler : str or None
+        Address of a `dask scheduler`, tcp://host:port.
+    jobs : int
+        Processes on this machine; -1 for one a core.
+    large : sequence
+        What is sent to the workers once instead of with every task.
+
+    Raises
+    ------
+    ValueError
+        Dask is not installed, or there is no such scheduler.
+    """
+    if scheduler is None:
+        with parallel_config("loky", n_jobs=jobs, initializer=begin_worker):
+            yield
+        return
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise ValueError("--scheduler needs: pip install -r requirements-dask.txt") from error
+
+    with Client(scheduler), parallel_config(backend="dask", scatter=list(large)):
+        yield
+
+
+def each_at_once(function: Callable, items: list) -> Iterator:
+    """Yield function(item) as they are done, within `workers`.
+
+    What a process was at when it was killed is begun again, by another.
+
+    Parameters
+    ----------
+    function : callable
+        Returns a tuple that begins with its item.
+    items : list
+
+    Raises
+    ------
+    RuntimeError
+        Processes are killed again and again.
+    """
+    missing = list(items)
+    for _ in range(_ATTEMPTS):
+        parallel = Parallel(return_as="generator_unordered", pre_dispatch="all", batch_size=1)
+        try:
+            for result in parallel(delayed(function)(item) for item in missing):
+                missing.remove(result[0])
+                yield result
+            return
+        except TerminatedWorkerError:
+            continue
+    raise RuntimeError(f"workers were killed {_ATTEMPTS} times: {len(missing)} left")
 
 
 def begin_worker() -> None:

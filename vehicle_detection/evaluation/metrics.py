@@ -12,6 +12,7 @@ import motmetrics
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from vehicle_detection.evaluation.hota import hota
 from vehicle_detection.media.mot import all_frames
 from vehicle_detection.tracking.boxes import pairwise_iou, pairwise_overlap
 
@@ -130,8 +131,8 @@ def evaluate(
     -------
     figures : dict
         Plain numbers, and two dicts: recall by height, and by vehicle the
-        frames from its entry to its first box. IDF1, switches and
-        fragmentations are None where truth or detections carry no identity,
+        frames from its entry to its first box. HOTA, IDF1, switches
+        and fragmentations are None where truth or detections carry no identity,
         and MOTA then counts misses and false positives only; by vehicle there
         is nothing where the truth carries none.
     """
@@ -149,13 +150,14 @@ def evaluate(
         name: int(value) if isinstance(value, np.integer) else _number_or_none(value)
         for name, value in figures.items()
     }
+    figures["HOTA"] = hota(required, counted)
     figures["frames"] = len(frames)
     figures["required boxes"] = len(required.frames)
     figures["false positives per frame"] = figures["false positives"] / len(frames)
     distance = figures.pop("mean distance")
     figures["mean IoU"] = None if distance is None else 1 - distance
     if not both_have:
-        figures |= dict.fromkeys(("IDF1", "identity switches", "fragmentations"))
+        figures |= dict.fromkeys(("HOTA", "IDF1", "identity switches", "fragmentations"))
         errors = figures["misses"] + figures["false positives"]
         figures["MOTA"] = 1 - errors / max(1, len(required.frames))
     if not len(required.frames):
