@@ -27,6 +27,7 @@ from vehicle_detection.parameters import (
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from vehicle_detection.media.annotate import Found
     from vehicle_detection.media.inputs import Source
     from vehicle_detection.parameters import SearchParams
 
@@ -102,6 +103,14 @@ def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
         "--split-screen", action="store_true", help="of videos, also one of every step"
     )
     parser.add_argument(
+        "--report", action="store_true",
+        help="of videos, also a page to browse: panels, vehicles over time, frames to look at",
+    )  # fmt: skip
+    parser.add_argument("--embed", action="store_true", help="the report is one file, video inside")
+    parser.add_argument(
+        "--truth", type=nonempty_path, help="true boxes of the video, for errors in the report"
+    )
+    parser.add_argument(
         "--preset", choices=ENCODER_PRESETS, default=ENCODER_PRESETS[0],
         help="of the video encoder: a larger file or a longer wait",
     )  # fmt: skip
@@ -109,6 +118,7 @@ def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
     chosen = parser.parse_args(arguments)
     if chosen.method == "two-stage" and (chosen.horizon, chosen.scan_every) != (None, None):
         parser.error("--horizon and --scan-every go with --method G or B only")
+    chosen.report = chosen.report or chosen.embed or bool(chosen.truth)
     return chosen
 
 
@@ -200,10 +210,30 @@ def annotate(source: Source, arguments: argparse.Namespace, vehicle: Any = None)
         if not source.is_video:
             annotate_image(source, vehicle)
             return source, "", ""
-        options = arguments.split_screen, arguments.preset, arguments.quiet
-        return source, "", annotate_video(source, vehicle, *options)
+        split_screen = arguments.split_screen or arguments.report
+        options = split_screen, arguments.preset, arguments.quiet
+        found = annotate_video(source, vehicle, *options)
+        if arguments.report:
+            write_report(source, found, vehicle, arguments)
+        return source, "", found.losses
     except (OSError, ValueError) as error:
         return source, str(error), ""
+
+
+def write_report(source: Source, found: Found, vehicle: Any, arguments: argparse.Namespace) -> None:
+    """Write the page of a video beside its split screen, or with that inside."""
+    from pprint import pformat
+
+    from vehicle_detection.media.files import write_whole
+    from vehicle_detection.media.formats import read_boxes
+    from vehicle_detection.report.page import page, report_data
+
+    truth = read_boxes(arguments.truth, is_truth=True) if arguments.truth else None
+    parameters = pformat({"method": arguments.method, **vehicle.settings()}, width=100)
+    data = report_data(source.path.name, found, vehicle.titles, parameters, truth)
+    video = source.split_screen
+    html = page(data, video if arguments.embed else video.name, arguments.embed)
+    write_whole(source.report, html)
 
 
 def one_after_the_other(sources: list, arguments: argparse.Namespace) -> Iterator:
@@ -272,7 +302,7 @@ def settings_of(arguments: argparse.Namespace) -> dict:
     from vehicle_detection.media.journal import digest
 
     files = arguments.calib, arguments.param or SHIPPED_PARAMS[arguments.method]
-    names = "method", "form", "preset", "split_screen", "horizon", "scan_every"
+    names = ["method", "form", "preset", "split_screen", "report", "embed", "horizon", "scan_every"]
     settings = {name: getattr(arguments, name) for name in names}
     return settings | {"files": [digest(path) if path else None for path in files]}
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -122,6 +122,15 @@ class Vehicle(Viewer):
         self._grid: Any = None
         self._warmth: np.ndarray | None = None
         self._heatmaps = deque(maxlen=self.n_acc)
+
+    def settings(self) -> dict:
+        """Parameters by name, for a report."""
+        n_acc, n_occ_thr, threshold = self.n_acc, self.n_occ_thr, self.threshold
+        return {
+            "filter": {"n_acc": n_acc, "n_occ_thr": n_occ_thr, "threshold": threshold},
+            "search": asdict(self.search),
+            "features": asdict(self.classifier.params),
+        }
 
     def detect(self, rgb_frame: np.ndarray) -> HeatDetections:
         """Search the next frame of the video.

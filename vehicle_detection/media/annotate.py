@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from tqdm.auto import tqdm
@@ -18,6 +19,27 @@ if TYPE_CHECKING:
     from vehicle_detection.media.inputs import Source
     from vehicle_detection.media.mot import Rows
     from vehicle_detection.media.viewer import Viewer
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was found in a video.
+
+    Attributes
+    ----------
+    rows : Rows
+    numbers : list of int
+        Of the frames that were decoded.
+    times : list of float
+        When each is shown, in seconds.
+    losses : str
+        Which frames could not be decoded, in words; empty if all could.
+    """
+
+    rows: Rows
+    numbers: list
+    times: list
+    losses: str
 
 
 @contextmanager
@@ -60,7 +82,7 @@ def annotate_video(
     split_screen: bool = False,
     preset: str = "ultrafast",
     quiet: bool = False,
-) -> str:
+) -> Found:
     """Detect in a video; write the annotated video and its boxes, all or nothing.
 
     Parameters
@@ -77,15 +99,15 @@ def annotate_video(
 
     Returns
     -------
-    losses : str
-        Which frames could not be decoded, in words; empty if all could.
+    found : Found
     """
     reader = VideoReader(source.path)
     vehicle.reset()
     drawings = {source.picture: vehicle.draw}
     if split_screen:
         drawings[source.split_screen] = vehicle.draw_split_screen
-    found: list = []
+    rows: list = []
+    numbers, times = [], []
     with ExitStack() as stack:
         # Encoders end first, then all files get their names.
         text = stack.enter_context(written_whole(source.rows))
@@ -101,8 +123,9 @@ def annotate_video(
                 pictures = [draw(frame.rgb, detections) for draw in drawings.values()]
             for write, picture in zip(writers, pictures, strict=True):
                 write(picture, frame.time)
-            found.append(rows_of_detections([detections], [frame.number]))
+            rows.append(rows_of_detections([detections], [frame.number]))
+            numbers.append(frame.number)
+            times.append(float(frame.time * (reader.info.time_base or 1)))
         shape = reader.info.height, reader.info.width
-        last = frame.number if found else 0
-        text.write(source.encoded(joined(found), shape, last))
-    return reader.losses() if reader.lost else ""
+        text.write(source.encoded(joined(rows), shape, numbers[-1]))
+    return Found(joined(rows), numbers, times, reader.losses() if reader.lost else "")

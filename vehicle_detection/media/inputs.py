@@ -50,9 +50,15 @@ class Source:
     split_screen: Path
 
     @property
+    def report(self) -> Path:
+        """The page about a video."""
+        return self.split_screen.with_name(f"{self.picture.stem}_report.html")
+
+    @property
     def outputs(self) -> list:
         """All files that may be written for it."""
-        return [self.picture, self.rows, *([self.split_screen] if self.is_video else [])]
+        of_video = [self.split_screen, self.report] if self.is_video else []
+        return [self.picture, self.rows, *of_video]
 
     def encoded(self, rows: Rows, frame_shape: tuple, n_frames: int) -> bytes:
         """Content of the file of boxes."""

@@ -52,6 +52,10 @@ class Viewer(ABC):
     def step_pictures(self, rgb_frame: np.ndarray, detections: Any) -> list:
         """What `titles` name, each drawn on the frame."""
 
+    @abstractmethod
+    def settings(self) -> dict:
+        """Parameters by name, for a report."""
+
     def load_calibration(self, path: str | os.PathLike) -> None:
         """Read a calibration, see `calibration.load_calibration`."""
         self.calibration = load_calibration(path)

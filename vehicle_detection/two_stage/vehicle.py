@@ -6,7 +6,7 @@ predictions of tracks, proposals -> refinement -> selection -> tracks -> vehicle
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,6 +99,10 @@ class TwoStageVehicle(Viewer):
         self._n_frames = 0
         self._tracker = Tracker(self.params.tracks)
         self._memory = RoadMemory(self.params.road)
+
+    def settings(self) -> dict:
+        """Parameters by name, for a report."""
+        return asdict(self.params)
 
     def detect(self, rgb_frame: np.ndarray) -> Detections:
         """Search the next frame of the video.

@@ -1,0 +1,1 @@
+"""What was found in a video, as a page to browse."""
