@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vehicle_detection.command_line import FAILED, LOSSES, nonempty_path
+from vehicle_detection.command_line import FAILED, LOSSES, add_version, nonempty_path
 from vehicle_detection.parameters import (
     FILTER_PRESETS,
     METHODS,
@@ -82,6 +82,7 @@ def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
         "--scheduler", metavar="tcp://HOST:PORT",
         help="of a Dask cluster whose workers see the same files: inputs are spread over it",
     )  # fmt: skip
+    add_version(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but what is wrong")
     parser.add_argument(
         "--method", choices=METHODS, default=METHODS[0],

@@ -11,7 +11,7 @@ from vehicle_detection import command_line  # isort: split
 import argparse
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from joblib import parallel_config
@@ -24,6 +24,8 @@ from sklearn.svm import SVC, LinearSVC
 from pipeline_functions import extract_features
 from vehicle_detection.classifier import Classifier, save_classifier
 from vehicle_detection.compiled.processes import begin_worker
+from vehicle_detection.evaluation.confusion import draw_confusion
+from vehicle_detection.media.files import written_whole
 from vehicle_detection.media.training_images import HELD_OUT, hold_out_ends, load_training_set
 from vehicle_detection.parameters import FEATURE_PRESETS
 
@@ -61,6 +63,7 @@ def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
     )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, help="of the random split, default: 0")
     parser.add_argument("--jobs", type=int, default=-1, help="processes of --search")
+    command_line.add_version(parser)
     return parser.parse_args(arguments)
 
 
@@ -150,14 +153,14 @@ def fit(features: np.ndarray, labels: np.ndarray, arguments: argparse.Namespace)
 def train(
     training_set: TrainingImages, params: FeatureParams, arguments: argparse.Namespace
 ) -> Classifier:
-    """From images to a classifier; prints how good it is.
+    """From images to a classifier; prints how good it is, and draws it beside the file.
 
     Parameters
     ----------
     training_set : TrainingImages
     params : FeatureParams
     arguments : argparse.Namespace
-        C, search, seed and jobs are used.
+        C, search, seed, jobs and out are used.
 
     Returns
     -------
@@ -172,8 +175,9 @@ def train(
         """Classifier of all images but some, which it then classifies."""
         scaler, svm = fit(features[~tested], labels[~tested], arguments)
         classifier = Classifier(svm, scaler, params, counts)
-        report(classifier, features[tested], labels[tested])
-        return classifier
+        scores = classifier.decision_function(features[tested])
+        report(scores, labels[tested])
+        return classifier, scores
 
     print(f"{features.shape[1]} features an image")
     print("Tested on whole ends of every folder, of which no near copy is learned from:")
@@ -182,12 +186,16 @@ def train(
         np.arange(len(labels)), test_size=HELD_OUT, shuffle=True, random_state=arguments.seed
     )
     print("Tested on images at random, neighbours of which are learned from:")
-    return fitted_without(np.isin(np.arange(len(labels)), test))
+    tested = np.isin(np.arange(len(labels)), test)
+    classifier, scores = fitted_without(tested)
+    with written_whole(arguments.out.with_suffix(".png")) as file:
+        draw_confusion(training_set.images[tested], labels[tested], scores).savefig(file, dpi=90)
+    return classifier
 
 
-def report(classifier: Any, features: np.ndarray, labels: np.ndarray) -> None:
+def report(scores: np.ndarray, labels: np.ndarray) -> None:
     """Print accuracy and confusion matrix on the held-out images."""
-    predicted = classifier.decision_function(features) > 0
+    predicted = scores > 0
     print(f"  accuracy: {accuracy_score(labels, predicted):.4f} on {len(labels)} images")
     (true_negative, false_positive), (false_negative, true_positive) = confusion_matrix(
         labels, predicted, labels=[0, 1]
@@ -206,7 +214,8 @@ def main() -> None:
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     params = FEATURE_PRESETS[arguments.preset]
     save_classifier(train(load_training_set(folder), params, arguments), arguments.out)
-    print(f"wrote {arguments.out} after {time.perf_counter() - start:.0f} s")
+    picture = arguments.out.with_suffix(".png")
+    print(f"wrote {arguments.out} and {picture} after {time.perf_counter() - start:.0f} s")
     print(f"try it: python detect.py --method {arguments.preset} --param {arguments.out}")
 
 

@@ -124,7 +124,9 @@ def row_of(name, rules, base):
 def main():
     """Write docs/ablations.md."""
     parser = argparse.ArgumentParser(
-        prog="python -m experiments.ablations", description=__doc__.splitlines()[0]
+        prog="python -m experiments.ablations",
+        description=__doc__.splitlines()[0],
+        epilog="example: %(prog)s --jobs 2",
     )
     parser.add_argument("--jobs", type=int, default=-1, help="processes, default: one a core")
     arguments = parser.parse_args()

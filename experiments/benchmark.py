@@ -344,6 +344,7 @@ def main():
     parser = argparse.ArgumentParser(
         description="Time the detector, its stages and its jobs.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        epilog="example: %(prog)s --json",
     )
     parser.add_argument("--video", type=Path, default=Path("videos/drive.mp4"))
     parser.add_argument("--frames", type=int, default=300, help="length of the video job")

@@ -60,7 +60,9 @@ def convert(notebook, path):
 def main():
     """Run the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m experiments.executed", description=__doc__.splitlines()[0]
+        prog="python -m experiments.executed",
+        description=__doc__.splitlines()[0],
+        epilog="example: %(prog)s output/two_stage.ipynb docs/two_stage.md",
     )
     parser.add_argument("notebook", type=Path)
     parser.add_argument("path", type=Path, help="Markdown file to write")

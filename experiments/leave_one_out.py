@@ -173,7 +173,9 @@ def mean_over_cameras(stills):
 def main():
     """Run the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m experiments.leave_one_out", description=__doc__.splitlines()[0]
+        prog="python -m experiments.leave_one_out",
+        description=__doc__.splitlines()[0],
+        epilog="example: %(prog)s run data --quick",
     )
     commands = parser.add_subparsers(dest="command", required=True)
     run = commands.add_parser("run", help="train and test what has no result yet")

@@ -131,7 +131,9 @@ def table(boxes, truth):
 def main():
     """Run the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m experiments.reproduction", description=__doc__.splitlines()[0]
+        prog="python -m experiments.reproduction",
+        description=__doc__.splitlines()[0],
+        epilog="example: %(prog)s data param/calib.p data/project_video.mp4 truth.txt",
     )
     parser.add_argument("data", type=Path, help="folder with vehicles/ and non-vehicles/")
     parser.add_argument("--video", type=Path, required=True)

@@ -285,7 +285,10 @@ def search_grid(configuration, dataset, jobs, count):
 
 def parse_arguments(arguments=None):
     """Command line to a namespace; `--help` explains it."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0],
+        epilog="example: %(prog)s run data",
+    )
     commands = parser.add_subparsers(dest="command", required=True)
     run = commands.add_parser("run", help="train and judge what has no result yet")
     grid = commands.add_parser("grid", help="grid search over kernel, C and gamma")

@@ -385,6 +385,7 @@ def parse_arguments(arguments=None):
         prog="python -m rendered_road.sample",
         description="Render training images, test images, a video and chessboard photos.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        epilog="example: %(prog)s output/sample --only video --seconds 10",
     )
     parser.add_argument("out", type=Path, help="folder to write to")
     parser.add_argument("--seed", type=int, default=0, help="of all that is random")

@@ -1,1 +1,3 @@
 """The package behind the scripts: detectors, media, tracking, evaluation."""
+
+__version__ = "1.0.0"

@@ -19,8 +19,11 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from importlib.metadata import version as package_version
 from pathlib import Path
 from typing import NoReturn
+
+from vehicle_detection import __version__
 
 FAILED, LOSSES, INTERRUPTED, TERMINATED = 1, 3, 130, 143
 
@@ -94,6 +97,21 @@ def _end_quietly_while_loading(kind, error, traceback):
 
 
 sys.excepthook = _end_quietly_while_loading
+
+
+def add_version(parser: argparse.ArgumentParser) -> None:
+    """The option `--version`: of the project and of what its results depend on most."""
+    parser.add_argument("--version", action=_Version, nargs=0, help="print versions and end")
+
+
+class _Version(argparse.Action):
+    """Prints versions when it is met; looking them up takes time."""
+
+    def __call__(self, parser, *_):
+        names = ("numpy", "opencv-python-headless", "scikit-learn", "numba", "av")
+        packages = ", ".join(f"{name} {package_version(name)}" for name in names)
+        print(f"vehicle detection {__version__} ({packages})")
+        parser.exit()
 
 
 def nonempty_path(text: str) -> Path:

@@ -23,6 +23,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m vehicle_detection.evaluation",
         description="Hold detections against the truth.",
+        epilog="example: %(prog)s truth.txt boxes.txt --frames 631:1260",
     )
     parser.add_argument(
         "truth", type=Path, help="MOTChallenge rows, conf 0 to ignore; COCO (.json); YOLO (.zip)"

@@ -182,6 +182,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m vehicle_detection.evaluation.stills",
         description="Average precision of the two-stage detector on folders of stills.",
+        epilog="example: %(prog)s footage/camvid footage/dusk_clip",
     )
     parser.add_argument(
         "folders", nargs="+", type=Path, metavar="FOLDER", help="with images/ and gt.txt"

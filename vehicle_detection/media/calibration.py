@@ -236,7 +236,10 @@ def corner_count(text: str) -> int:
 
 def main() -> None:
     """Run the command line."""
-    parser = argparse.ArgumentParser(description="Calibrate a camera from chessboard photos.")
+    parser = argparse.ArgumentParser(
+        description="Calibrate a camera from chessboard photos.",
+        epilog="example: %(prog)s photos --corners 9 6",
+    )
     parser.add_argument("folder", type=Path, help="folder of photos, png or jpg")
     parser.add_argument(
         "--out", type=Path, default=Path("output/calib.p"), help="default: %(default)s"

@@ -11,12 +11,17 @@ from __future__ import annotations
 from vehicle_detection import command_line  # isort: split
 
 import argparse
+import shlex
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from vehicle_detection.evaluation.confusion import draw_confusion
+from vehicle_detection.media.files import write_whole, written_whole
 from vehicle_detection.parameters import DEFAULT_TRAINING, QUICK_TRAINING
 from vehicle_detection.two_stage.model import Detector, save_detector
+from vehicle_detection.two_stage.training.card import model_card
 from vehicle_detection.two_stage.training.first_stage import train_templates
 from vehicle_detection.two_stage.training.footage import (
     Footage,
@@ -26,10 +31,16 @@ from vehicle_detection.two_stage.training.footage import (
     read_boxed_crops,
     read_cameras,
 )
-from vehicle_detection.two_stage.training.second_stage import train_regressor, train_scorer
+from vehicle_detection.two_stage.training.second_stage import (
+    scored_patches,
+    train_regressor,
+    train_scorer,
+)
 
 if TYPE_CHECKING:
     from vehicle_detection.parameters import TrainingParams
+
+_FRAMES_TO_DRAW = 100
 
 
 def add_source_options(parser: argparse.ArgumentParser) -> None:
@@ -63,6 +74,7 @@ def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m vehicle_detection.two_stage.training",
         description="Train the two-stage detector.",
+        epilog="example: %(prog)s --cameras cameras.csv --out output/detector.npz",
     )
     add_source_options(parser)
     parser.add_argument(
@@ -131,6 +143,17 @@ def train_detector(
     return Detector(templates, scorer, regressor)
 
 
+def draw_training(
+    training_set: TrainingSet, detector: Detector, arguments: argparse.Namespace, params: Any
+) -> None:
+    """Draw what the second stage confuses in some frames that it learned from."""
+    step = max(1, len(training_set.examples) // _FRAMES_TO_DRAW)
+    examples = training_set.examples[::step]
+    scored = scored_patches(examples, detector, arguments.seed, params)
+    with written_whole(arguments.out.with_suffix(".png")) as file:
+        draw_confusion(*scored).savefig(file, dpi=90)
+
+
 def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
@@ -140,6 +163,11 @@ def main() -> None:
     print(", ".join(f"{len(v)} {k}" for k, v in vars(training_set).items()))
     detector = train_detector(training_set, arguments.seed, arguments.jobs, params)
     save_detector(detector, arguments.out)
+    draw_training(training_set, detector, arguments, params)
+    sources = {name: len(values) for name, values in vars(training_set).items()}
+    command = shlex.join(["python", "-m", "vehicle_detection.two_stage.training", *sys.argv[1:]])
+    card = model_card(arguments.out, sources, command, params)
+    write_whole(arguments.out.with_suffix(".md"), card)
     print(f"wrote {arguments.out} after {time.perf_counter() - start:.0f} s")
 
 

@@ -21,7 +21,7 @@ from vehicle_detection.two_stage.features import (
     margins_outside,
     on_whole_pixels,
 )
-from vehicle_detection.two_stage.refinement import move_edges
+from vehicle_detection.two_stage.refinement import move_edges, score_boxes
 from vehicle_detection.two_stage.training.augmentation import (
     degrade,
     random_camera,
@@ -150,6 +150,31 @@ def patch_samples(item: tuple, machines: tuple, params: TrainingParams) -> tuple
     example, rng = item
     templates, regressor, scorer = machines
     img, boxes, required = random_camera(example, rng)
+    windows, labels = clear_windows(img, boxes, required, (templates, regressor), rng, params)
+    planes = luma_and_chroma(degrade(cut_patches(img, windows), rng))
+    features = describe_for_scorer(planes, margins_outside(windows, img.shape))
+    if scorer is not None:
+        hard = scorer.predict(features)[:, 0] * (2 * labels - 1) < params.sure_score
+        features, labels = features[hard], labels[hard]
+    return features.astype(np.float16), labels
+
+
+def clear_windows(
+    img: np.ndarray,
+    boxes: np.ndarray,
+    required: np.ndarray,
+    machines: tuple,
+    rng: np.random.Generator,
+    params: TrainingParams,
+) -> tuple:
+    """Candidates of a frame where the regressor has moved them: clear vehicles, clear background.
+
+    Returns
+    -------
+    windows : ndarray of float, shape (n, 4)
+    labels : ndarray of int, shape (n,)
+    """
+    templates, regressor = machines
     windows = on_whole_pixels(candidates(img, boxes, required, templates, rng))
     planes = luma_and_chroma(cut_patches(img, windows))
     features = describe_for_regressor(planes, margins_outside(windows, img.shape))
@@ -158,13 +183,7 @@ def patch_samples(item: tuple, machines: tuple, params: TrainingParams) -> tuple
     # A part of a vehicle is none, or it would be found beside the whole.
     is_other = (iou < params.background_iou) & is_background(windows, boxes[~required], 0.3, 0.5)
     clear = (iou > params.vehicle_iou) | is_other
-    windows, labels = windows[clear], (iou[clear] > params.vehicle_iou).astype(int)
-    planes = luma_and_chroma(degrade(cut_patches(img, windows), rng))
-    features = describe_for_scorer(planes, margins_outside(windows, img.shape))
-    if scorer is not None:
-        hard = scorer.predict(features)[:, 0] * (2 * labels - 1) < params.sure_score
-        features, labels = features[hard], labels[hard]
-    return features.astype(np.float16), labels
+    return windows[clear], (iou[clear] > params.vehicle_iou).astype(int)
 
 
 def crop_patches(training_set: TrainingSet, rng: np.random.Generator, params: Any) -> Iterator:
@@ -187,6 +206,36 @@ def crop_patches(training_set: TrainingSet, rng: np.random.Generator, params: An
         planes = luma_and_chroma(degrade(cut_patches(img, boxes), rng))
         features = describe_for_scorer(planes, all_outside).astype(np.float16)
         yield features, np.array([label, label, *np.zeros(len(parts), int)])
+
+
+def scored_patches(examples: list, detector: Any, seed: int, params: TrainingParams) -> tuple:
+    """Patches of some frames as the second stage sees them, to be drawn.
+
+    Parameters
+    ----------
+    examples : list of Example
+    detector : Detector
+    seed : int
+    params : TrainingParams
+
+    Returns
+    -------
+    patches : ndarray of uint8, shape (n, side, side, 3)
+        RGB.
+    labels : ndarray of int, shape (n,)
+    scores : ndarray of float, shape (n,)
+    """
+    found = []
+    for example, rng in with_generators(examples, seed, 10):
+        img, boxes, required = random_camera(example, rng)
+        windows, labels = clear_windows(
+            img, boxes, required, (detector.templates, detector.regressor), rng, params
+        )
+        found.append(
+            (cut_patches(img, windows), labels, score_boxes(img, windows, detector.scorer))
+        )
+    patches, labels, scores = map(np.concatenate, zip(*found, strict=True))
+    return patches, labels, scores
 
 
 def train_scorer(
