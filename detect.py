@@ -82,6 +82,9 @@ def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
         "--scheduler", metavar="tcp://HOST:PORT",
         help="of a Dask cluster whose workers see the same files: inputs are spread over it",
     )  # fmt: skip
+    live = parser.add_argument_group("live", "an RTSP or HTTP address as input, or a camera")
+    live.add_argument("--camera", type=int, metavar="N", help="number of a camera of this machine")
+    live.add_argument("--seconds", type=float, help="stop after so long; default: Ctrl-C")
     add_version(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but what is wrong")
     parser.add_argument(
@@ -277,6 +280,8 @@ def run(arguments: argparse.Namespace) -> int:
     from vehicle_detection.media.inputs import gather_inputs, require_free_outputs
     from vehicle_detection.media.journal import Journal
 
+    if arguments.camera is not None or is_address(str(arguments.inputs[0])):
+        return run_live(arguments)
     sources = gather_inputs(arguments.inputs, arguments.out, arguments.form)
     # Before any work, for mistakes in parameter files.
     for is_still in {not source.is_video for source in sources}:
@@ -296,6 +301,27 @@ def run(arguments: argparse.Namespace) -> int:
             journal.add(source)
         losses += [f"{source.path}: {lost}"] if lost else []
     return report(arguments, len(sources), failures, losses)
+
+
+def is_address(text: str) -> bool:
+    """Whether an input is the address of a stream. Paths lose one of two slashes."""
+    return text.startswith(("rtsp:/", "rtsps:/", "http:/", "https:/"))
+
+
+def run_live(arguments: argparse.Namespace) -> int:
+    """Annotate a camera or stream until it ends or is stopped."""
+    from vehicle_detection.media.streams import annotate_stream
+
+    address: Any = arguments.camera
+    if address is None:
+        if len(arguments.inputs) > 1:
+            raise ValueError("one stream at a time")
+        address = str(arguments.inputs[0]).replace(":/", "://", 1)
+    vehicle = open_vehicle(arguments, is_still=False)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    rest = arguments.seconds, arguments.overwrite
+    print(annotate_stream(address, arguments.out, vehicle, *rest))
+    return 0
 
 
 def settings_of(arguments: argparse.Namespace) -> dict:

@@ -133,7 +133,7 @@ def main():
     parser = argparse.ArgumentParser(
         prog="python -m experiments.reproduction",
         description=__doc__.splitlines()[0],
-        epilog="example: %(prog)s data param/calib.p data/project_video.mp4 truth.txt",
+        epilog="example: %(prog)s data param/calib.p --video drive.mp4 --truth drive.gt.txt",
     )
     parser.add_argument("data", type=Path, help="folder with vehicles/ and non-vehicles/")
     parser.add_argument("--video", type=Path, required=True)

@@ -511,8 +511,12 @@ def encoding(
     info: VideoInfo,
     preset: str = "ultrafast",
     source: str | os.PathLike | None = None,
+    is_live: bool = False,
 ) -> Iterator:
-    """As `video_writer`, into an open file that will have this path."""
+    """As `video_writer`, into an open file that will have this path.
+
+    What is live is written in fragments, so that it can be played at any moment.
+    """
     n_written = 0
     if path.suffix.lower() not in _MUXERS:
         raise ValueError(f"{path}: videos are written as {', '.join(_MUXERS)}")
@@ -525,7 +529,8 @@ def encoding(
         encoder.put(frame, n_written if time is None else time)
         n_written += 1
 
-    encoder = _Encoder(file, path, info, preset, source)
+    movflags = "frag_keyframe+empty_moov" if is_live else "faststart"
+    encoder = _Encoder(file, path, info, preset, source, movflags)
     try:
         yield write
     finally:
@@ -545,13 +550,19 @@ class _Encoder:
         The name it will have.
     info, preset, source
         As `video_writer`.
+    movflags : str
+        Of FFmpeg's muxer for mp4 and mov.
     """
 
-    def __init__(self, file: Any, path: Path, info: VideoInfo, preset: str, source: Any):
+    def __init__(
+        self, file: Any, path: Path, info: VideoInfo, preset: str, source: Any, movflags: str
+    ):
         self._path = path
         self._failure: Exception | None = None
         self._frames: queue.Queue = queue.Queue(_QUEUE_LENGTH)
-        work = partial(self._work, file, _MUXERS[path.suffix.lower()], info, preset, source)
+        muxer = _MUXERS[path.suffix.lower()]
+        options = {"movflags": movflags} if muxer in ("mp4", "mov") else {}
+        work = partial(self._work, file, (muxer, options), info, preset, source)
         self._thread = threading.Thread(target=work, daemon=True)
         self._thread.start()
 
@@ -586,11 +597,10 @@ class _Encoder:
         first = self._frames.get()
         if first is None:
             return
-        options = {"movflags": "faststart"} if muxer in ("mp4", "mov") else {}
         # The second pass of faststart reads what the first has written.
         reopen = partial(_reopen, file.name)
         output = stack.enter_context(
-            av.open(file, "w", muxer, options, buffer_size=_IO_BYTES, io_open=reopen)
+            av.open(file, "w", *muxer, buffer_size=_IO_BYTES, io_open=reopen)
         )
         output.metadata.update(info.metadata)
         stream = _video_stream(output, info, preset)
