@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -90,6 +91,34 @@ def show_steps(rows: Sequence, titles: Sequence, width: float = 16) -> Figure:
     for number, (title, axis) in enumerate(zip(titles, axes[0], strict=True), start=1):
         axis.set_title(f"{number} {title}", fontsize=11)
     return figure
+
+
+def live(function: Callable, values: dict) -> Any:
+    """Call a function that draws, and again whenever a slider or menu is moved.
+
+    Parameters
+    ----------
+    function : callable
+        Draws a figure; takes the names of `values`.
+    values : dict of str to sequence
+        What each may be; the middle one is drawn first.
+
+    Returns
+    -------
+    panel : ipywidgets.Widget or None
+        None where widgets are not installed: the first figure is then all there is.
+    """
+    first = {name: choices[len(choices) // 2] for name, choices in values.items()}
+    function(**first)
+    try:
+        from ipywidgets import SelectionSlider, interactive
+    except ImportError:
+        return None
+    sliders = {
+        name: SelectionSlider(options=choices, value=first[name], continuous_update=False)
+        for name, choices in values.items()
+    }
+    return interactive(function, **sliders)
 
 
 def show_histograms(histograms: Sequence, titles: Sequence, channel_names: Sequence) -> Figure:
