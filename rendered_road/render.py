@@ -1218,12 +1218,15 @@ class TruthBox:
         In the own carriageway, at least 30 px high, at least half visible.
     visible : float
         Share of the whole vehicle that is in the frame and not hidden.
+    distance : float
+        Metres along the road from the camera to its nearest point.
     """
 
     identity: int
     box: tuple
     required: bool
     visible: float
+    distance: float
 
 
 def render(world, time):
@@ -1260,7 +1263,7 @@ def render(world, time):
         _draw_rails(view, picture)
     drawn = [(arguments[0], *draw(view, picture, *arguments)) for _, draw, arguments in near]
     oncoming = [(a, _outline(view, a, time)) for a in world.actors if a.oncoming]
-    truth = _truth_boxes(view, drawn) + _ignored_boxes(world, oncoming)
+    truth = _truth_boxes(view, drawn, time) + _ignored_boxes(view, oncoming, time)
     return _sensor(world, picture, time), truth
 
 
@@ -1283,7 +1286,12 @@ def _cut(world, box):
     return inside, left / max(whole, 1e-9)
 
 
-def _truth_boxes(view, drawn):
+def _nearest(view, actor, time):
+    """Metres along the road to the nearest point of an actor."""
+    return float(_actor_mesh(view, actor, time)[0][..., 2].min())
+
+
+def _truth_boxes(view, drawn, time):
     """Truth of the own carriageway, from (actor, coverage, box), far ones first."""
     truth = []
     for i, (actor, coverage, box) in enumerate(drawn):
@@ -1296,7 +1304,9 @@ def _truth_boxes(view, drawn):
             continue
         visible = float(share) * _free_share(coverage, [nearer for _, nearer, _ in drawn[i + 1 :]])
         required = bool(visible >= 0.5 and inside[3] - inside[1] >= 30)
-        truth.append(TruthBox(actor.identity, tuple(inside.tolist()), required, visible))
+        distance = _nearest(view, actor, time)
+        box = tuple(inside.tolist())
+        truth.append(TruthBox(actor.identity, box, required, visible, distance))
     return truth
 
 
@@ -1332,14 +1342,15 @@ def _free_share(coverage, nearer_ones):
     return float(free.sum() / max(alpha.sum(), 1e-9))
 
 
-def _ignored_boxes(world, outlines):
+def _ignored_boxes(view, outlines, time):
     """Truth of the other carriageway, from (actor, box), not required."""
     truth = []
     for actor, box in outlines:
         if box is not None:
-            inside, share = _cut(world, box)
+            inside, share = _cut(view.world, box)
             if share > 0.02:
-                truth.append(TruthBox(actor.identity, tuple(inside.tolist()), False, 0.5))
+                box, distance = tuple(inside.tolist()), _nearest(view, actor, time)
+                truth.append(TruthBox(actor.identity, box, False, 0.5, distance))
     return truth
 
 

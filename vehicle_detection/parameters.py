@@ -400,6 +400,32 @@ class RoadParams:
 
 DEFAULT_ROAD = RoadParams()
 
+
+@dataclass(frozen=True)
+class DistanceParams:
+    """What turns rows of the frame into metres.
+
+    Attributes
+    ----------
+    camera_height : float or None
+        Above the road, in metres; None takes the height of a car by the belief of the road.
+    car_height : float
+        In metres.
+    n_std : float
+        A vehicle must stand lower than the horizon by so many of its standard deviations.
+    """
+
+    camera_height: float | None = None
+    car_height: float = 1.5
+    n_std: float = 2
+
+    def __post_init__(self):
+        if self.car_height <= 0 or (self.camera_height is not None and self.camera_height <= 0):
+            raise ValueError("heights are above 0")
+
+
+DEFAULT_DISTANCE = DistanceParams()
+
 # ----------------------------------------------------------------------- tracks
 
 
@@ -459,12 +485,14 @@ class TwoStageParams:
     selection : SelectionParams
     road : RoadParams
     tracks : TrackParams
+    distance : DistanceParams
     """
 
     scan: ScanParams = DEFAULT_SCAN
     selection: SelectionParams = DEFAULT_SELECTION
     road: RoadParams = DEFAULT_ROAD
     tracks: TrackParams = DEFAULT_TRACKS
+    distance: DistanceParams = DEFAULT_DISTANCE
 
 
 VIDEO_PARAMS = TwoStageParams()

@@ -43,7 +43,11 @@ def identity_color(identity: int) -> tuple:
 
 
 def draw_vehicles(
-    img: np.ndarray, boxes: np.ndarray, ids: np.ndarray, thickness: int = 4
+    img: np.ndarray,
+    boxes: np.ndarray,
+    ids: np.ndarray,
+    thickness: int = 4,
+    metres: np.ndarray | None = None,
 ) -> np.ndarray:
     """A copy of the image with every vehicle boxed and numbered in the colour of its identity.
 
@@ -55,16 +59,24 @@ def draw_vehicles(
     ids : ndarray of int, shape (n,)
     thickness : int
         In pixels.
+    metres : ndarray of float, shape (n,), optional
+        Distance of each, written beside its number unless it is NaN.
     """
     img = img.copy()
     font_scale = img.shape[0] / 600
-    for (left, top, right, bottom), identity in zip(boxes.tolist(), ids.tolist(), strict=True):
+    labels = [str(identity) for identity in ids.tolist()]
+    if metres is not None:
+        known = [f"  {m:.0f} m" if m == m else "" for m in metres.tolist()]
+        labels = [label + distance for label, distance in zip(labels, known, strict=True)]
+    for (left, top, right, bottom), identity, label in zip(
+        boxes.tolist(), ids.tolist(), labels, strict=True
+    ):
         color = identity_color(identity)
         cv2.rectangle(img, (left, top), (right - 1, bottom - 1), color, thickness)
         # Above the box, or inside it where that would leave the picture.
         place = left, max(top - 2 * thickness, round(22 * font_scale))
         font = cv2.FONT_HERSHEY_SIMPLEX
-        cv2.putText(img, str(identity), place, font, font_scale, color, 2, cv2.LINE_AA)
+        cv2.putText(img, label, place, font, font_scale, color, 2, cv2.LINE_AA)
     return img
 
 

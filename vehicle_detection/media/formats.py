@@ -64,7 +64,7 @@ def as_csv(boxes: Boxes) -> bytes:
     """The same with a line of column names, for spreadsheets and pandas."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
+    writer.writerow([*_COLUMNS, *(["metres"] if boxes.rows.distances is not None else [])])
     for record in _records(boxes.rows):
         writer.writerow(record.values())
     return text.getvalue().encode()
@@ -107,13 +107,18 @@ def as_coco(boxes: Boxes) -> bytes:
             "iscrowd": 0,
             "score": record["score"],
             "track_id": record["id"],
-            "attributes": {"track_id": record["id"]},
+            "attributes": {"track_id": record["id"]} | _metres(record),
         }
         for i, record in enumerate(_records(boxes.rows), start=1)
     ]
     categories = [{"id": 1, "name": CATEGORY, "supercategory": ""}]
     content = {"images": images, "annotations": annotations, "categories": categories}
     return json.dumps(content).encode()
+
+
+def _metres(record):
+    """The distance of a record, if it is known."""
+    return {"metres": record["metres"]} if record.get("metres") is not None else {}
 
 
 def as_yolo(boxes: Boxes) -> bytes:
@@ -147,15 +152,19 @@ def _yolo_line(record, size):
 
 
 def _records(rows):
-    """Yield each row as a dict of plain numbers by `_COLUMNS`."""
+    """Yield each row as a dict of plain numbers by `_COLUMNS`, and metres if they are known."""
+    metres = [None] * len(rows.ids) if rows.distances is None else rows.distances.tolist()
     sizes = rows.boxes[:, 2:] - rows.boxes[:, :2]
-    for values in zip(rows.frames, rows.ids, rows.boxes, sizes, rows.scores, strict=True):
-        frame, identity, (left, top, *_), (width, height), score = values
+    for values in zip(rows.frames, rows.ids, rows.boxes, sizes, rows.scores, metres, strict=True):
+        frame, identity, (left, top, *_), (width, height), score, distance = values
         numbers = (left, top, width, height)
         plain = [int(n) if n == int(n) else float(n) for n in numbers]
-        yield dict(
+        record = dict(
             zip(_COLUMNS, (int(frame), int(identity), *plain, round(float(score), 3)), strict=True)
         )
+        if rows.distances is not None:
+            record["metres"] = None if distance != distance else round(distance, 1)
+        yield record
 
 
 @dataclass(frozen=True)

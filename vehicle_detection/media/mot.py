@@ -43,6 +43,8 @@ class Rows:
         The seventh column: score of a detection, conf of a truth row.
     visibility : ndarray of float, shape (n,)
         The ninth column: share of a vehicle that is seen; -1 if it is not known.
+    distances : ndarray of float, shape (n,), or None
+        Metres, NaN where they are not known.
     """
 
     frames: np.ndarray
@@ -50,10 +52,12 @@ class Rows:
     boxes: np.ndarray
     scores: np.ndarray
     visibility: np.ndarray
+    distances: np.ndarray | None = None
 
     def only(self, chosen: np.ndarray) -> Rows:
         """The rows that a mask or index array picks."""
-        return Rows(**{name: values[chosen] for name, values in vars(self).items()})
+        known = {name: values for name, values in vars(self).items() if values is not None}
+        return Rows(**{name: values[chosen] for name, values in known.items()})
 
     def within(self, frames: range) -> Rows:
         """The rows of a range of frames."""
@@ -226,8 +230,15 @@ def rows_of_detections(detections: list, numbers: Sequence | None = None) -> Row
     frames = np.repeat(range(1, len(detections) + 1) if numbers is None else numbers, counts)
     boxes = stacked([one.boxes for one in detections], (0, 4)).astype(float)
     ids, scores = (stacked([getattr(d, n) for d in detections], 0) for n in ("ids", "scores"))
-    unknown = np.full(len(frames), -1.0)
-    return Rows(frames.astype(np.int64), ids.astype(np.int64), boxes, scores, visibility=unknown)
+    metres: list = [getattr(one, "distances", None) for one in detections]
+    return Rows(
+        frames.astype(np.int64),
+        ids.astype(np.int64),
+        boxes,
+        scores,
+        visibility=np.full(len(frames), -1.0),
+        distances=None if not metres or metres[0] is None else np.concatenate(metres),
+    )
 
 
 def stacked(arrays: list, empty: Any) -> np.ndarray:
@@ -237,14 +248,10 @@ def stacked(arrays: list, empty: Any) -> np.ndarray:
 
 def joined(parts: list) -> Rows:
     """Rows one after the other, also if there are none."""
-    nothing = rows_of_detections([])
-    names = vars(nothing)
-    return Rows(
-        **{
-            name: np.concatenate([getattr(part, name) for part in (nothing, *parts)])
-            for name in names
-        }
-    )
+    if not parts:
+        return rows_of_detections([])
+    names = [name for name, values in vars(parts[0]).items() if values is not None]
+    return Rows(**{n: np.concatenate([getattr(part, n) for part in parts]) for n in names})
 
 
 def mot_lines(rows: Rows) -> list:

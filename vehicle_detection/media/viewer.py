@@ -78,7 +78,9 @@ class Viewer(ABC):
 
     def draw(self, rgb_frame: np.ndarray, detections: Any) -> np.ndarray:
         """Vehicles on a copy of the frame, then undistortion if there is a calibration."""
-        return self.undistort(draw_vehicles(rgb_frame, detections.boxes, detections.ids))
+        metres = getattr(detections, "distances", None)
+        picture = draw_vehicles(rgb_frame, detections.boxes, detections.ids, metres=metres)
+        return self.undistort(picture)
 
     def draw_split_screen(self, rgb_frame: np.ndarray, detections: Any) -> np.ndarray:
         """The four `step_pictures` in one picture as large as the frame.

@@ -17,6 +17,7 @@ from vehicle_detection.media.viewer import Viewer, require_frame
 from vehicle_detection.parameters import VIDEO_PARAMS, TwoStageParams
 from vehicle_detection.tracking.boxes import clip_to_frame, stack_boxes, touches_border
 from vehicle_detection.tracking.tracker import Tracker
+from vehicle_detection.two_stage.distance import distances
 from vehicle_detection.two_stage.model import load_detector
 from vehicle_detection.two_stage.proposals import level_groups, propose
 from vehicle_detection.two_stage.refinement import merge, refine
@@ -49,6 +50,8 @@ class Detections:
         As of the candidates.
     ids : ndarray of int, shape (k,)
         Identity of each vehicle, from 1, the same in every frame.
+    distances : ndarray of float, shape (k,), or None
+        Metres to each, see `distance.distances`; None without calibration.
     """
 
     proposals: np.ndarray
@@ -58,6 +61,7 @@ class Detections:
     boxes: np.ndarray
     scores: np.ndarray
     ids: np.ndarray
+    distances: np.ndarray | None = None
 
 
 class TwoStageVehicle(Viewer):
@@ -195,7 +199,16 @@ class TwoStageVehicle(Viewer):
             boxes=np.rint(boxes).astype(int),
             scores=candidates.scores[confirmed],
             ids=np.array([tracks[i].identity for i in confirmed], int),
+            distances=self._distances(boxes),
         )
+
+    def _distances(self, boxes):
+        """Metres to boxes; None without calibration, which knows the focal length."""
+        if self.calibration is None:
+            return None
+        rows, columns = self._frame_shape[:2]
+        focal = self.calibration.mtx[1, 1] * columns / self.calibration.image_size[0]
+        return distances(boxes, self._memory.road(rows), focal, self.params.distance)
 
     def step_pictures(self, rgb_frame: np.ndarray, detections: Any) -> list:
         """What `titles` name, each drawn on the frame.
