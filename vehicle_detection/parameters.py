@@ -607,6 +607,8 @@ class TrainingParams:
         its edges are, but there are more places for edges.
     vehicle_score : float
         Median score of the vehicles that were learned from.
+    most_patches : int
+        That the scorer is fitted to, at random among all: each takes 64 kB of memory.
     sure_score : float
         A patch that is scored right by more than this teaches nothing new.
     n_principal, n_gradients : int
@@ -627,6 +629,7 @@ class TrainingParams:
     scorer_size: tuple = (124, 4000)
     regressor_size: tuple = (64, 3000)
     vehicle_score: float = 1.5
+    most_patches: int = 100_000
     sure_score: float = 0.5
     n_principal: int = 600
     n_gradients: int = 12_000

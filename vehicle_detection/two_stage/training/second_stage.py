@@ -261,5 +261,7 @@ def train_scorer(
         find = partial(patch_samples, machines=(*machines, scorer), params=params)
         samples += in_parallel(find, items, jobs, "patches")
         features, labels = map(np.concatenate, zip(*samples, strict=True))
-        scorer = fit_scorer(features, labels, np.random.default_rng([seed, 8]), params)
+        rng = np.random.default_rng([seed, 8])
+        chosen = rng.permutation(len(labels))[: params.most_patches]
+        scorer = fit_scorer(features[chosen], labels[chosen], rng, params)
     return scorer
