@@ -60,23 +60,23 @@ def draw_vehicles(
     thickness : int
         In pixels.
     metres : ndarray of float, shape (n,), optional
-        Distance of each, written beside its number unless it is NaN.
+        Distance of each, written below it unless it is NaN.
     """
     img = img.copy()
     font_scale = img.shape[0] / 600
-    labels = [str(identity) for identity in ids.tolist()]
-    if metres is not None:
-        known = [f"  {m:.0f} m" if m == m else "" for m in metres.tolist()]
-        labels = [label + distance for label, distance in zip(labels, known, strict=True)]
-    for (left, top, right, bottom), identity, label in zip(
-        boxes.tolist(), ids.tolist(), labels, strict=True
-    ):
+    font = cv2.FONT_HERSHEY_SIMPLEX
+    known = np.full(len(ids), np.nan) if metres is None else metres
+    rows = zip(boxes.tolist(), ids.tolist(), known.tolist(), strict=True)
+    for (left, top, right, bottom), identity, distance in rows:
         color = identity_color(identity)
         cv2.rectangle(img, (left, top), (right - 1, bottom - 1), color, thickness)
         # Above the box, or inside it where that would leave the picture.
         place = left, max(top - 2 * thickness, round(22 * font_scale))
-        font = cv2.FONT_HERSHEY_SIMPLEX
-        cv2.putText(img, label, place, font, font_scale, color, 2, cv2.LINE_AA)
+        cv2.putText(img, str(identity), place, font, font_scale, color, 2, cv2.LINE_AA)
+        if distance == distance:
+            below = left, bottom + round(14 * font_scale)
+            text, scale = f"{distance:.0f} m", 0.5 * font_scale
+            cv2.putText(img, text, below, font, scale, color, 1, cv2.LINE_AA)
     return img
 
 
