@@ -7,7 +7,8 @@ python detect.py drive.mp4 --method G    the write-up's pipeline
 
 from __future__ import annotations
 
-from vehicle_detection import command_line  # isort: split
+if __name__ == "__main__":
+    import vehicle_detection.early_interrupt  # noqa: F401, before the libraries
 
 import argparse
 import sys
@@ -15,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from vehicle_detection import command_line
 from vehicle_detection.command_line import FAILED, LOSSES, add_version, nonempty_path
 from vehicle_detection.parameters import (
     FILTER_PRESETS,
@@ -48,21 +50,59 @@ def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
     """Command line to a namespace; `--help` explains it."""
     parser = argparse.ArgumentParser(
         description="Box the vehicles in images and videos. Writes an annotated copy of each "
-        "input and a text file of boxes, MOTChallenge rows in pixels of the frame as read.",
-        epilog="examples: detect.py drive.mp4; detect.py photos/ --out boxes; "
-        "detect.py drive.mp4 --method G --split-screen. Exit code: 0 all done, 1 some input "
-        "failed, 2 wrong usage, 3 frames of a video could not be decoded, 130 interrupted.",
+        "input and a file of boxes, in pixels of the frame as read.",
+        epilog="examples: detect.py drive.mp4; detect.py photos/ --format coco --out boxes; "
+        "detect.py drive.mp4 --method G --split-screen; detect.py rtsp://camera/stream. "
+        "Exit code: 0 all done, 1 some input failed, 2 wrong usage, 3 frames of a video could "
+        "not be decoded, 130 interrupted.",
     )
     parser.add_argument(
-        "inputs", nargs="*", type=nonempty_path, default=[ROOT / "videos/drive.mp4"],
-        help="images, videos, folders of them; default: the shipped clip",
+        "inputs", nargs="*", type=path_or_address, default=[ROOT / "videos/drive.mp4"],
+        help="images, videos, folders of them, or the address of a stream; default: the shipped "
+        "clip",
     )  # fmt: skip
+    add_output_options(parser)
+    add_detector_options(parser)
+    add_search_options(parser)
+    add_report_options(parser)
+    add_run_options(parser)
+    add_live_options(parser)
+    chosen = parser.parse_args(arguments)
+    chosen.report = chosen.report or chosen.embed or bool(chosen.truth)
+    chosen.is_live = chosen.camera is not None or any(isinstance(i, str) for i in chosen.inputs)
+    mistake = contradiction(chosen)
+    if mistake:
+        parser.error(mistake)
+    return chosen
+
+
+def path_or_address(text: str) -> Path | str:
+    """An input: the address of a stream stays text, all else is a path."""
+    if text.startswith(("rtsp://", "rtsps://", "http://", "https://")):
+        return text
+    return nonempty_path(text)
+
+
+def contradiction(chosen: argparse.Namespace) -> str:
+    """What is wrong with options that do not go together; empty if nothing is."""
+    if chosen.method == "two-stage" and (chosen.horizon, chosen.scan_every) != (None, None):
+        return "--horizon and --scan-every go with --method G or B only"
+    if chosen.camera_height is not None and (chosen.method != "two-stage" or not chosen.calib):
+        return "--camera-height goes with --calib and --method two-stage only"
+    of_files = "report", "split_screen", "resume", "scheduler"
+    if chosen.is_live and (chosen.form != "mot" or any(getattr(chosen, n) for n in of_files)):
+        return "a stream has no --format, --report, --split-screen, --resume or --scheduler"
+    if chosen.is_live and len(chosen.inputs) > 1:
+        return "one stream at a time, and nothing beside it"
+    return ""
+
+
+def add_output_options(parser: argparse.ArgumentParser) -> None:
+    """Options that say what is written, and where."""
     parser.add_argument(
-        "--out",
-        type=nonempty_path,
-        default=Path("output"),
+        "--out", type=nonempty_path, default=Path("output"),
         help="folder to write to, default: output",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--format", choices=FORMAT_NAMES, default=FORMAT_NAMES[0], dest="form",
         help="of the boxes: MOTChallenge rows (default), the same with a head, frames as JSON, "
@@ -72,21 +112,18 @@ def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
         "--overwrite", action="store_true", help="replace results that are there already"
     )
     parser.add_argument(
-        "--resume", action="store_true",
-        help="keep a list of what is finished, and skip what was finished with the same settings",
-    )  # fmt: skip
-    parser.add_argument(
-        "--jobs", type=int, default=1, help="inputs at once; -1: one a core; default: 1"
+        "--split-screen", action="store_true", help="of videos, also one of every step"
     )
     parser.add_argument(
-        "--scheduler", metavar="tcp://HOST:PORT",
-        help="of a Dask cluster whose workers see the same files: inputs are spread over it",
+        "--preset", choices=ENCODER_PRESETS, default=ENCODER_PRESETS[0],
+        help="of the video encoder: a larger file or a longer wait",
     )  # fmt: skip
-    live = parser.add_argument_group("live", "an RTSP or HTTP address as input, or a camera")
-    live.add_argument("--camera", type=int, metavar="N", help="number of a camera of this machine")
-    live.add_argument("--seconds", type=float, help="stop after so long; default: Ctrl-C")
-    add_version(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but what is wrong")
+    add_version(parser)
+
+
+def add_detector_options(parser: argparse.ArgumentParser) -> None:
+    """Options that pick the detector and describe the camera."""
     parser.add_argument(
         "--method", choices=METHODS, default=METHODS[0],
         help="two-stage: proposals, refinement and tracks (default); G, B: the pipeline of a "
@@ -109,27 +146,42 @@ def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
         "--camera-height", type=float, metavar="METRES",
         help="above the road, for distances; default: that of a car, by what is seen",
     )  # fmt: skip
-    parser.add_argument(
-        "--split-screen", action="store_true", help="of videos, also one of every step"
-    )
-    parser.add_argument(
+
+
+def add_report_options(parser: argparse.ArgumentParser) -> None:
+    """Options of the page about a video."""
+    group = parser.add_argument_group("report", "of videos")
+    group.add_argument(
         "--report", action="store_true",
-        help="of videos, also a page to browse: panels, vehicles over time, frames to look at",
+        help="also a page to browse: panels, vehicles over time, frames to look at",
     )  # fmt: skip
-    parser.add_argument("--embed", action="store_true", help="the report is one file, video inside")
-    parser.add_argument(
-        "--truth", type=nonempty_path, help="true boxes of the video, for errors in the report"
+    group.add_argument("--embed", action="store_true", help="the page is one file, video inside")
+    group.add_argument(
+        "--truth", type=nonempty_path, help="true boxes of the video, for errors in the page"
     )
-    parser.add_argument(
-        "--preset", choices=ENCODER_PRESETS, default=ENCODER_PRESETS[0],
-        help="of the video encoder: a larger file or a longer wait",
+
+
+def add_run_options(parser: argparse.ArgumentParser) -> None:
+    """Options for many inputs."""
+    group = parser.add_argument_group("many inputs")
+    group.add_argument(
+        "--resume", action="store_true",
+        help="keep a list of what is finished, and skip what was finished with the same settings",
     )  # fmt: skip
-    add_search_options(parser)
-    chosen = parser.parse_args(arguments)
-    if chosen.method == "two-stage" and (chosen.horizon, chosen.scan_every) != (None, None):
-        parser.error("--horizon and --scan-every go with --method G or B only")
-    chosen.report = chosen.report or chosen.embed or bool(chosen.truth)
-    return chosen
+    group.add_argument(
+        "--jobs", type=int, default=1, help="inputs at once; -1: one a core; default: 1"
+    )
+    group.add_argument(
+        "--scheduler", metavar="tcp://HOST:PORT",
+        help="of a Dask cluster whose workers see the same files: inputs are spread over it",
+    )  # fmt: skip
+
+
+def add_live_options(parser: argparse.ArgumentParser) -> None:
+    """Options of cameras and streams."""
+    group = parser.add_argument_group("live", "an RTSP or HTTP address as input, or a camera")
+    group.add_argument("--camera", type=int, metavar="N", help="number of a camera of this machine")
+    group.add_argument("--seconds", type=float, help="stop after so long; default: Ctrl-C")
 
 
 def add_search_options(parser: argparse.ArgumentParser) -> None:
@@ -237,15 +289,23 @@ def write_report(source: Source, found: Found, vehicle: Any, arguments: argparse
     from pprint import pformat
 
     from vehicle_detection.media.files import write_whole
-    from vehicle_detection.media.formats import read_boxes
+    from vehicle_detection.media.videos import video_info
     from vehicle_detection.report.page import page, report_data
 
-    truth = read_boxes(arguments.truth, is_truth=True) if arguments.truth else None
+    info = video_info(source.path)
+    truth = read_truth(arguments, (info.width, info.height))
     parameters = pformat({"method": arguments.method, **vehicle.settings()}, width=100)
     data = report_data(source.path.name, found, vehicle.titles, parameters, truth)
     video = source.split_screen
     html = page(data, video if arguments.embed else video.name, arguments.embed)
     write_whole(source.report, html)
+
+
+def read_truth(arguments: argparse.Namespace, size: tuple) -> Any:
+    """True boxes for the report, None if there are none. YOLO's are shares of the size."""
+    from vehicle_detection.media.formats import read_boxes
+
+    return read_boxes(arguments.truth, size, is_truth=True) if arguments.truth else None
 
 
 def one_after_the_other(sources: list, arguments: argparse.Namespace) -> Iterator:
@@ -285,20 +345,19 @@ def run(arguments: argparse.Namespace) -> int:
         See `vehicle_detection.command_line`.
     """
     # Not at the top: `--help` would wait for the video and array libraries.
-    from vehicle_detection.media.inputs import gather_inputs, require_free_outputs
+    from vehicle_detection.media.inputs import gather_inputs
     from vehicle_detection.media.journal import Journal
 
-    if arguments.camera is not None or is_address(str(arguments.inputs[0])):
+    if arguments.is_live:
         return run_live(arguments)
     sources = gather_inputs(arguments.inputs, arguments.out, arguments.form)
-    # Before any work, for mistakes in parameter files.
+    # Before any work, for mistakes in parameter and truth files.
     for is_still in {not source.is_video for source in sources}:
         open_vehicle(arguments, is_still)
+    read_truth(arguments, (1, 1))
     arguments.out.mkdir(parents=True, exist_ok=True)
     journal = Journal(arguments.out, settings_of(arguments)) if arguments.resume else None
-    if journal:
-        sources = [source for source in sources if not journal.has(source)]
-    require_free_outputs(sources, arguments.overwrite or arguments.resume)
+    sources = to_be_done(sources, journal, arguments)
     several = arguments.scheduler or arguments.jobs != 1
     annotated = side_by_side if several and len(sources) > 1 else one_after_the_other
     failures, losses = [], []
@@ -306,29 +365,48 @@ def run(arguments: argparse.Namespace) -> int:
         if failure:
             failures.append(failure)
         elif journal:
-            journal.add(source)
+            journal.finish(source)
         losses += [f"{source.path}: {lost}"] if lost else []
     return report(arguments, len(sources), failures, losses)
 
 
-def is_address(text: str) -> bool:
-    """Whether an input is the address of a stream. Paths lose one of two slashes."""
-    return text.startswith(("rtsp:/", "rtsps:/", "http:/", "https:/"))
+def to_be_done(sources: list, journal: Any, arguments: argparse.Namespace) -> list:
+    """Inputs that are not finished, once it is sure that nothing of value is replaced."""
+    from vehicle_detection.media.inputs import require_free_outputs, require_no_input
+
+    require_no_input(sources)
+    if journal is None:
+        require_free_outputs(sources, arguments.overwrite)
+        return sources
+    missing = [source for source in sources if not journal.is_finished(source, wanted(arguments))]
+    # What an earlier run has made may be made anew.
+    others = [source for source in missing if not journal.knows(source)]
+    require_free_outputs(others, arguments.overwrite)
+    for source in missing:
+        journal.begin(source)
+    return missing
+
+
+def wanted(arguments: argparse.Namespace) -> set:
+    """Names of a source's outputs that the command line asks for."""
+    names = {"picture", "rows"}
+    if arguments.split_screen or arguments.report:
+        names.add("split_screen")
+    return names | ({"report"} if arguments.report else set())
 
 
 def run_live(arguments: argparse.Namespace) -> int:
     """Annotate a camera or stream until it ends or is stopped."""
     from vehicle_detection.media.streams import annotate_stream
 
-    address: Any = arguments.camera
-    if address is None:
-        if len(arguments.inputs) > 1:
-            raise ValueError("one stream at a time")
-        address = str(arguments.inputs[0]).replace(":/", "://", 1)
+    address = arguments.inputs[0] if arguments.camera is None else arguments.camera
     vehicle = open_vehicle(arguments, is_still=False)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    rest = arguments.seconds, arguments.overwrite
-    print(annotate_stream(address, arguments.out, vehicle, *rest))
+    said = annotate_stream(
+        address, arguments.out, vehicle, arguments.seconds, arguments.overwrite, arguments.preset
+    )
+    if not arguments.quiet:
+        print(said)
     return 0
 
 
@@ -336,7 +414,8 @@ def settings_of(arguments: argparse.Namespace) -> dict:
     """All that results depend on."""
     from vehicle_detection.media.journal import digest
 
-    files = arguments.calib, arguments.param or SHIPPED_PARAMS[arguments.method]
+    param = arguments.param or SHIPPED_PARAMS[arguments.method]
+    files = arguments.calib, param, arguments.truth
     names = [
         "method", "form", "preset", "split_screen", "report", "embed", "horizon", "scan_every",
         "camera_height",

@@ -6,7 +6,8 @@ python train.py path/to/folder       with vehicles/ and non-vehicles/ in it
 
 from __future__ import annotations
 
-from vehicle_detection import command_line  # isort: split
+if __name__ == "__main__":
+    import vehicle_detection.early_interrupt  # noqa: F401, before the libraries
 
 import argparse
 import time
@@ -22,6 +23,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC, LinearSVC
 
 from pipeline_functions import extract_features
+from vehicle_detection import command_line
 from vehicle_detection.classifier import Classifier, save_classifier
 from vehicle_detection.compiled.processes import begin_worker
 from vehicle_detection.evaluation.confusion import draw_confusion
@@ -153,7 +155,7 @@ def fit(features: np.ndarray, labels: np.ndarray, arguments: argparse.Namespace)
 def train(
     training_set: TrainingImages, params: FeatureParams, arguments: argparse.Namespace
 ) -> Classifier:
-    """From images to a classifier; prints how good it is, and draws it beside the file.
+    """From images to a classifier and its file; prints and draws how good it is.
 
     Parameters
     ----------
@@ -188,6 +190,8 @@ def train(
     print("Tested on images at random, neighbours of which are learned from:")
     tested = np.isin(np.arange(len(labels)), test)
     classifier, scores = fitted_without(tested)
+    # Before the picture, which must not cost what took hours.
+    save_classifier(classifier, arguments.out)
     with written_whole(arguments.out.with_suffix(".png")) as file:
         draw_confusion(training_set.images[tested], labels[tested], scores).savefig(file, dpi=90)
     return classifier
@@ -213,7 +217,7 @@ def main() -> None:
     # A long fit must not end at a folder that cannot be written to.
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     params = FEATURE_PRESETS[arguments.preset]
-    save_classifier(train(load_training_set(folder), params, arguments), arguments.out)
+    train(load_training_set(folder), params, arguments)
     picture = arguments.out.with_suffix(".png")
     print(f"wrote {arguments.out} and {picture} after {time.perf_counter() - start:.0f} s")
     print(f"try it: python detect.py --method {arguments.preset} --param {arguments.out}")

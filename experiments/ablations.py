@@ -7,7 +7,8 @@ camera. Errors are false positives and misses at an IoU of 0.5; for stills, the 
 precision over folders is given.
 """
 
-from vehicle_detection import command_line  # isort: split
+if __name__ == "__main__":
+    import vehicle_detection.early_interrupt  # noqa: F401, before the libraries
 
 import argparse
 from dataclasses import replace
@@ -17,7 +18,8 @@ from pathlib import Path
 import numpy as np
 from joblib import Parallel, delayed, parallel_config
 
-from experiments.leave_one_out import QUICK_GROUPS
+from experiments.leave_one_out import QUICK_GROUPS, detector_path
+from vehicle_detection import command_line
 from vehicle_detection.compiled.processes import begin_worker
 from vehicle_detection.evaluation.metrics import evaluate
 from vehicle_detection.evaluation.stills import score_folder
@@ -90,7 +92,7 @@ def frames_of(path):
 def errors_on(clip, rules):
     """False positives, misses and identity switches of a variant on a clip."""
     path, truth, frames, group = clip
-    detector = DETECTORS / f"{QUICK_GROUPS[group]}_quick.npz"
+    detector = detector_path(QUICK_GROUPS[group], True, DETECTORS)
     vehicle = TwoStageVehicle(None, detector, rules)
     judged = frame_range(frames)
     upcoming = islice(frames_of(located(path)), judged[-1])
@@ -103,7 +105,7 @@ def precision_on_stills(rules):
     """Mean average precision of a variant over the folders of stills."""
     values = []
     for name, group in STILLS.items():
-        detector = DETECTORS / f"{QUICK_GROUPS[group]}_quick.npz"
+        detector = detector_path(QUICK_GROUPS[group], True, DETECTORS)
         params = replace(rules, scan=STILL_PARAMS.scan, tracks=STILL_PARAMS.tracks)
         vehicle = TwoStageVehicle(None, detector, params)
         values.append(score_folder(SHARED / "footage" / name, vehicle).average_precision)
@@ -130,7 +132,7 @@ def main():
     )
     parser.add_argument("--jobs", type=int, default=-1, help="processes, default: one a core")
     arguments = parser.parse_args()
-    missing = [g for g in QUICK_GROUPS if not (DETECTORS / f"{g}_quick.npz").is_file()]
+    missing = [g for g in QUICK_GROUPS if not detector_path(g, True, DETECTORS).is_file()]
     if missing or not SHARED.is_dir():
         raise ValueError(f"run experiments.leave_one_out run --quick first: no {missing}")
     with parallel_config("loky", n_jobs=arguments.jobs, initializer=begin_worker):

@@ -7,7 +7,8 @@ printed. The reference is the published way, window by window on scikit-image,
 in `experiments/reference.py`.
 """
 
-from vehicle_detection import command_line  # isort: split
+if __name__ == "__main__":
+    import vehicle_detection.early_interrupt  # noqa: F401, before the libraries
 
 import argparse
 import json
@@ -37,6 +38,7 @@ from pipeline_functions import (
 )
 from train import fit_linear
 from vehicle import Vehicle
+from vehicle_detection import command_line
 from vehicle_detection.classifier import load_classifier
 from vehicle_detection.compiled.hog import hog_blocks
 from vehicle_detection.media.annotate import annotate_video

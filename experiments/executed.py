@@ -3,7 +3,8 @@
 python -m experiments.executed output/image_pipeline.ipynb docs/image_pipeline.md
 """
 
-from vehicle_detection import command_line  # isort: split
+if __name__ == "__main__":
+    import vehicle_detection.early_interrupt  # noqa: F401, before the libraries
 
 import argparse
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 from nbconvert import MarkdownExporter
 from traitlets.config import Config
 
+from vehicle_detection import command_line
 from vehicle_detection.media.files import write_whole
 
 # The outputs of cells with this tag are left out: embedded videos.

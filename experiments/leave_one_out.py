@@ -9,7 +9,8 @@ eight. `run` resumes where it was stopped; `--scheduler` spreads it over machine
 `experiments.table`.
 """
 
-from vehicle_detection import command_line  # isort: split
+if __name__ == "__main__":
+    import vehicle_detection.early_interrupt  # noqa: F401, before the libraries
 
 import argparse
 import hashlib
@@ -21,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.table import RESULTS, read_results, run_all
+from vehicle_detection import command_line
 from vehicle_detection.compiled.processes import workers
 from vehicle_detection.evaluation.metrics import evaluate
 from vehicle_detection.evaluation.stills import StillFigures, score_folder
@@ -61,9 +63,14 @@ def training_arguments(data, without):
     return parse_arguments(words)
 
 
+def detector_path(group, quick, folder):
+    """Where the detector of a group lies that was trained with these settings."""
+    return Path(folder) / f"{group}_{settings_of(quick)}.npz"
+
+
 def train_without(group, data, quick, folder):
     """Train without some cameras, unless it was done before; the path of the detector."""
-    path = Path(folder) / f"{group}{'_quick' if quick else ''}.npz"
+    path = detector_path(group, quick, folder)
     if not path.is_file():
         params = QUICK_TRAINING if quick else DEFAULT_TRAINING
         training_set = gather(training_arguments(data, group.split("+")), params)

@@ -6,7 +6,8 @@ Every variant is trained with five seeds and run over the whole video. The table
 range of recall and precision at an IoU of 0.5.
 """
 
-from vehicle_detection import command_line  # isort: split
+if __name__ == "__main__":
+    import vehicle_detection.early_interrupt  # noqa: F401, before the libraries
 
 import argparse
 from dataclasses import dataclass, replace
@@ -20,6 +21,7 @@ from tqdm.auto import tqdm
 from pipeline_functions import extract_features
 from train import fit_linear
 from vehicle import Vehicle
+from vehicle_detection import command_line
 from vehicle_detection.classifier import Classifier
 from vehicle_detection.evaluation.metrics import evaluate
 from vehicle_detection.media.mot import read_rows, rows_of

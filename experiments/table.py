@@ -8,7 +8,8 @@
 at a time as there are cores or workers, and resumes where it was stopped.
 """
 
-from vehicle_detection import command_line  # isort: split
+if __name__ == "__main__":
+    import vehicle_detection.early_interrupt  # noqa: F401, before the libraries
 
 import argparse
 import csv
@@ -29,6 +30,7 @@ from tqdm.auto import tqdm
 from pipeline_functions import extract_features
 from train import fit_linear, fit_searched
 from vehicle import Vehicle
+from vehicle_detection import command_line
 from vehicle_detection.classifier import Classifier
 from vehicle_detection.compiled.processes import workers
 from vehicle_detection.evaluation.metrics import evaluate

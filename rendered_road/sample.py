@@ -6,7 +6,8 @@ writes scenes and training images of both classes cut from them, six test images
 chessboard photos, and the true boxes. The same seed gives the same pictures.
 """
 
-from vehicle_detection import command_line  # isort: split
+if __name__ == "__main__":
+    import vehicle_detection.early_interrupt  # noqa: F401, before the libraries
 
 import argparse
 from dataclasses import replace
@@ -25,6 +26,7 @@ from rendered_road.render import (
     perspective_through_lens,
     render,
 )
+from vehicle_detection import command_line
 from vehicle_detection.compiled.processes import in_parallel
 from vehicle_detection.media.files import write_whole
 from vehicle_detection.media.images import write_image

@@ -231,3 +231,43 @@ def test_other_formats(tmp_path, name, suffix):
     result = run(clip, "--out", tmp_path / "out", "--format", name)
     assert result.returncode == 0, result.stderr
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"clip.mp4", f"clip.{suffix}"}
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--camera-height", "1.3"],
+        ["rtsp://camera/stream", "--format", "coco"],
+        ["rtsp://camera/stream", "--report"],
+        ["rtsp://camera/stream", "drive.mp4"],
+        ["--camera", "0", "--resume"],
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(options):
+    with pytest.raises(SystemExit, match="2"):
+        detect.parse_arguments(options)
+
+
+def test_addresses_stay_as_they_are():
+    assert detect.parse_arguments(["rtsp://h:554//s/"]).inputs == ["rtsp://h:554//s/"]
+    assert detect.parse_arguments(["a//b"]).inputs == [Path("a/b")]
+
+
+def test_a_wrong_truth_is_said_before_any_work(tmp_path):
+    (tmp_path / "truth.txt").write_text("text")
+    out = tmp_path / "out"
+    result = run(CASES / "gps_track.mp4", "--out", out, "--truth", tmp_path / "truth.txt")
+    assert result.returncode == 1 and "truth.txt, line 1" in result.stderr
+    assert not out.exists() or not list(out.iterdir())
+
+
+def test_a_report_that_is_gone_is_made_again(tmp_path):
+    command = CASES / "gps_track.mp4", "--out", tmp_path, "--report", "--resume", "--quiet"
+    for name in ("gps_track_report.html", "gps_track_split.mp4"):
+        assert run(*command).returncode == 0
+        (tmp_path / name).unlink()
+    assert run(*command).returncode == 0 and (tmp_path / "gps_track_split.mp4").is_file()
+    # What nobody here has made is not replaced.
+    (tmp_path / "sound.txt").write_text("mine")
+    other = CASES / "sound.mp4", "--out", tmp_path, "--resume"
+    assert run(*other).returncode == 1 and (tmp_path / "sound.txt").read_text() == "mine"

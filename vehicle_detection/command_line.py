@@ -1,8 +1,5 @@
 """How every script ends: an exit code, one line for a mistake, nothing left behind.
 
-Importing this module first is enough for an interrupt while the other libraries load to end in
-one line as well.
-
 | code | meaning |
 |---|---|
 | 0 | all done |
@@ -48,12 +45,12 @@ def run(main: Callable[[], int | None]) -> NoReturn:
         code = main() or 0
         sys.stdout.flush()
     except KeyboardInterrupt:
-        _end_now("interrupted", INTERRUPTED)
+        end_now("interrupted", INTERRUPTED)
     except Terminated:
-        _end_now("terminated", TERMINATED)
+        end_now("terminated", TERMINATED)
     except BrokenPipeError:
         # Whoever reads has heard enough.
-        _end_now("", FAILED)
+        end_now("", FAILED)
     except (OSError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         code = FAILED
@@ -81,22 +78,13 @@ def _on_terminate(*_):
     raise Terminated
 
 
-def _end_now(message, code):
+def end_now(message: str, code: int) -> NoReturn:
     """End at once: threads that still decode or encode are of no use any more."""
     try:
         if message:
             print(f"\n{message}", file=sys.stderr, flush=True)
     finally:
         os._exit(code)
-
-
-def _end_quietly_while_loading(kind, error, traceback):
-    if issubclass(kind, KeyboardInterrupt):
-        _end_now("interrupted", INTERRUPTED)
-    sys.__excepthook__(kind, error, traceback)
-
-
-sys.excepthook = _end_quietly_while_loading
 
 
 def add_version(parser: argparse.ArgumentParser) -> None:

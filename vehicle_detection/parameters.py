@@ -8,11 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-# Of a frame to search: its shorter side in pixels, and its height by its width. A vehicle in a
-# smaller one is a few pixels; a taller one, brought to the width of the others, is huge.
-SMALLEST_SIDE = 64
-TALLEST_FRAME = 4
-
 COLOR_SPACES = ("RGB", "YCrCb", "HSV", "HLS", "LUV", "YUV", "Lab", "gray")
 
 
@@ -25,6 +20,47 @@ def require_color(name: str) -> None:
 def channel_count(color: str | None) -> int:
     """Channels of an image in this colour space."""
     return 1 if color == "gray" else 3
+
+
+# ------------------------------------------------------------------------- frames
+
+
+@dataclass(frozen=True)
+class FrameParams:
+    """Which frames are searched.
+
+    Attributes
+    ----------
+    smallest_side : int
+        In pixels: in smaller ones a vehicle is a few.
+    tallest : float
+        Height by width: a taller one, brought to the width of the others, is huge.
+    """
+
+    smallest_side: int = 64
+    tallest: float = 4
+
+
+DEFAULT_FRAME = FrameParams()
+
+
+@dataclass(frozen=True)
+class ReportParams:
+    """Which frames of a video deserve a look.
+
+    Attributes
+    ----------
+    sudden_growth : float
+        A vehicle's height that changes by more from frame to frame, as a factor above 1.
+    most_notable : int
+        Frames that are listed.
+    """
+
+    sudden_growth: float = 1.25
+    most_notable: int = 60
+
+
+DEFAULT_REPORT = ReportParams()
 
 
 # --------------------------------------------------------- the write-ups' pipeline

@@ -126,6 +126,23 @@ def test_a_lie_is_noticed(server, tmp_path, name):
     assert files(tmp_path / "data") == EXPECTED
 
 
+def test_a_damaged_archive_is_fetched_anew(tree, tmp_path):
+    path = tree / "vehicles.zip"
+    whole = path.read_bytes()
+    # Within compressed data: what is found is no longer a stream.
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for i in range(3):
+            archive.writestr(f"vehicles/a/{i}.png", bytes(range(256)) * 40)
+    damaged = bytearray(path.read_bytes())
+    damaged[60:90] = bytes([255]) * 30
+    path.write_bytes(damaged)
+    with pytest.raises(ValueError, match=r"vehicles\.zip: not what it should be"):
+        gather(Origin(folder=tree), tmp_path / "data")
+    assert not (tmp_path / "data/vehicles.zip").exists()
+    path.write_bytes(whole)
+    gather(Origin(folder=tree), tmp_path / "data")
+
+
 def test_images_are_counted(tree, tmp_path, monkeypatch):
     monkeypatch.setattr(download, "ARCHIVES", {"vehicles.zip": 4, "non-vehicles.zip": 3})
     with pytest.raises(ValueError, match=r"vehicles\.zip: 3 images instead of 4"):

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pycocotools.coco import COCO
 
+import detect
 from vehicle_detection.media.formats import FORMATS, Boxes, frame_size, read_boxes
 from vehicle_detection.media.mot import Rows
 
@@ -88,13 +89,13 @@ def test_yolo_of_a_video_is_the_archive_that_cvat_takes(tmp_path):
         assert len(archive.read("obj_train_data/frame_000000.txt").splitlines()) == 2
 
 
-@pytest.mark.parametrize("name", ["mot", "coco", "yolo"])
+@pytest.mark.parametrize("name", list(FORMATS))
 def test_boxes_come_back(tmp_path, name):
     back = read_boxes(written(tmp_path, name), (320, 180))
     assert back.frames.tolist() == [1, 1, 3]
     np.testing.assert_allclose(back.boxes, ROWS.boxes, atol=1e-3)
     if name != "yolo":
-        assert back.ids.tolist() == [1, 2, 1]
+        assert back.ids.tolist() == [1, 2, 1] and back.scores.tolist() == [1.25, 0.5, 2.0]
 
 
 @given(
@@ -144,7 +145,7 @@ def test_coco_of_other_programs(tmp_path):
 def test_what_is_no_format_is_named(tmp_path, content):
     for name in ("boxes.json", "boxes.zip"):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(ValueError, match=rf"{name}: not boxes in (COCO|YOLO)'s format"):
+        with pytest.raises(ValueError, match=rf"{name}: no boxes that can be read"):
             read_boxes(tmp_path / name, (320, 180))
     with pytest.raises(FileNotFoundError, match="no such file of boxes"):
         read_boxes(tmp_path / "gone.json")
@@ -157,3 +158,7 @@ def test_yolo_needs_a_size(tmp_path):
     for text in ("1280", "0x720", "ax b", "1280x720x3", "-1x5"):
         with pytest.raises(ValueError, match="WIDTHxHEIGHT"):
             frame_size(text)
+
+
+def test_the_command_line_knows_every_format():
+    assert tuple(FORMATS) == detect.FORMAT_NAMES

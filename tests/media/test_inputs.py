@@ -1,10 +1,13 @@
 """What a command line names, and where the results go."""
 
+from pathlib import Path
+
 import pytest
+from PIL import Image
 
 from conftest import moving_frames, textured_image, write_video
 from vehicle_detection.media.images import write_image
-from vehicle_detection.media.inputs import gather_inputs, require_free_outputs
+from vehicle_detection.media.inputs import gather_inputs, require_free_outputs, require_no_input
 
 
 @pytest.fixture
@@ -39,6 +42,21 @@ def test_every_input_has_outputs_of_its_own(folder, tmp_path):
     assert {"front/1.txt", "rear/1.txt", "1.txt", "1_2.txt", "2.txt", "2_2.txt"} <= names
 
 
+def test_a_folder_above_the_results_is_searched(folder, monkeypatch):
+    monkeypatch.chdir(folder.parent)
+    assert len(gather_inputs([Path("drive")], Path("."))) == 7
+    assert len(gather_inputs([Path("drive/front")], Path("drive"))) == 1
+
+
+def test_a_header_may_be_long(tmp_path):
+    """An image without a suffix, whose size stands behind 150 kB of other things."""
+    image = Image.fromarray(textured_image(0, 80, 96))
+    image.save(tmp_path / "photo.jpg", icc_profile=bytes(150_000))
+    (tmp_path / "photo.jpg").rename(tmp_path / "photo")
+    (source,) = gather_inputs([tmp_path / "photo"], tmp_path / "out")
+    assert not source.is_video
+
+
 def test_case_alone_makes_no_other_name(tmp_path):
     for name in ("a/Drive.png", "b/drive.png"):
         write_image(tmp_path / name, textured_image(0, 80, 96))
@@ -61,7 +79,7 @@ def test_nothing_is_replaced_unless_allowed(folder, tmp_path):
     require_free_outputs(sources, overwrite=True)
     for where in (folder, folder / "front/.."):
         with pytest.raises(FileExistsError, match="is an input"):
-            require_free_outputs(gather_inputs([folder / "2.png"], where), overwrite=True)
+            require_no_input(gather_inputs([folder / "2.png"], where))
 
 
 def test_bad_inputs_are_named(folder, tmp_path):

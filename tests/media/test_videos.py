@@ -1,6 +1,7 @@
 """Videos in and out: what is kept, what is lost and said, what is refused."""
 
 import threading
+import time
 from fractions import Fraction
 
 import av
@@ -12,6 +13,7 @@ from conftest import CASES, moving_frames, textured_image, write_video
 from vehicle_detection.media.videos import (
     VideoInfo,
     VideoReader,
+    encoding,
     is_video,
     read_frames,
     video_info,
@@ -371,3 +373,40 @@ def test_a_full_disk_is_said(tmp_path, monkeypatch):
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
         signal.signal(signal.SIGXFSZ, handler)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_is_full_at_the_very_end_is_said(tmp_path):
+    """Few frames fit into the encoder: it fails when it is closed."""
+    info = VideoInfo(320, 180, 25, 5)
+    with (
+        open("/dev/full", "r+b", buffering=0) as file,
+        pytest.raises(OSError, match="cannot be encoded: .*No space left"),
+        encoding(file, tmp_path / "clip.mp4", info) as write,
+    ):
+        for frame in moving_frames(5):
+            write(frame)
+
+
+def test_what_is_live_can_be_read_while_it_is_written(tmp_path):
+    path = tmp_path / "live.mp4"
+    info = VideoInfo(320, 180, 25, 0)
+    with (
+        open(path, "w+b", buffering=0) as file,
+        encoding(file, path, info, is_live=True) as write,
+    ):
+        for i, frame in enumerate(list(moving_frames(40)) * 3):
+            write(frame, i)
+        for _ in range(100):
+            time.sleep(0.1)
+            if path.stat().st_size > 10_000:
+                break
+        assert len(list(VideoReader(path))) > 20
+    assert len(list(VideoReader(path))) == 120
+
+
+def test_a_codec_that_nobody_knows_is_no_video(tmp_path):
+    path = write_video(tmp_path / "clip.mp4", moving_frames(5))
+    path.write_bytes(path.read_bytes().replace(b"avc1", b"xyz1"))
+    assert not is_video(path)
+    with pytest.raises(ValueError, match="no video in it that can be decoded"):
+        video_info(path)

@@ -5,12 +5,14 @@ python -m vehicle_detection.evaluation TRUTH DETECTIONS [--frames A:B[:STEP]] [-
 
 from __future__ import annotations
 
-from vehicle_detection import command_line  # isort: split
+if __name__ == "__main__":
+    import vehicle_detection.early_interrupt  # noqa: F401, before the libraries
 
 import argparse
 import json
 from pathlib import Path
 
+from vehicle_detection import command_line
 from vehicle_detection.evaluation.metrics import evaluate
 from vehicle_detection.evaluation.plots import draw_evaluation, table
 from vehicle_detection.media.files import written_whole

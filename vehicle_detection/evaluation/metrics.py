@@ -150,7 +150,7 @@ def evaluate(
         name: int(value) if isinstance(value, np.integer) else _number_or_none(value)
         for name, value in figures.items()
     }
-    figures["HOTA"] = hota(required, counted)
+    figures["HOTA"] = hota(required, counted) if both_have else None
     figures["frames"] = len(frames)
     figures["required boxes"] = len(required.frames)
     figures["false positives per frame"] = figures["false positives"] / len(frames)

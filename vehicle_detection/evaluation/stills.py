@@ -8,7 +8,8 @@ order of names.
 
 from __future__ import annotations
 
-from vehicle_detection import command_line  # isort: split
+if __name__ == "__main__":
+    import vehicle_detection.early_interrupt  # noqa: F401, before the libraries
 
 import argparse
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vehicle_detection import command_line
 from vehicle_detection.media.images import find_images, read_image
 from vehicle_detection.media.mot import read_rows, require_within
 from vehicle_detection.parameters import STILL_PARAMS

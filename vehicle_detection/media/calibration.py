@@ -5,7 +5,8 @@ python -m vehicle_detection.media.calibration FOLDER --out output/calib.p
 
 from __future__ import annotations
 
-from vehicle_detection import command_line  # isort: split
+if __name__ == "__main__":
+    import vehicle_detection.early_interrupt  # noqa: F401, before the libraries
 
 import argparse
 import os
@@ -17,6 +18,7 @@ import cv2
 import numpy as np
 from tqdm.auto import tqdm
 
+from vehicle_detection import command_line
 from vehicle_detection.media import safe_pickle
 from vehicle_detection.media.files import write_whole
 from vehicle_detection.media.images import find_images, read_images

@@ -6,13 +6,15 @@ python -m vehicle_detection.media.download --from path/to/files  from archives a
 
 from __future__ import annotations
 
-from vehicle_detection import command_line  # isort: split
+if __name__ == "__main__":
+    import vehicle_detection.early_interrupt  # noqa: F401, before the libraries
 
 import argparse
 import shutil
 import sys
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -20,6 +22,7 @@ from pathlib import Path, PurePosixPath
 import pooch
 import requests
 
+from vehicle_detection import command_line
 from vehicle_detection.command_line import nonempty_path
 from vehicle_detection.media.files import written_whole
 from vehicle_detection.media.images import read_image
@@ -113,7 +116,7 @@ def check(path: Path) -> None:
             video_info(path)
         else:
             read_image(path)
-    except (ValueError, zipfile.BadZipFile) as error:
+    except (ValueError, EOFError, zlib.error, zipfile.BadZipFile) as error:
         path.unlink()
         raise ValueError(f"{path}: not what it should be: {error}: run this again") from error
 

@@ -197,7 +197,7 @@ FORMATS = {
 
 
 def read_boxes(path: str | os.PathLike, size: tuple | None = None, is_truth: bool = False) -> Rows:
-    """Read boxes in any format that keeps truth: MOTChallenge, COCO (.json), YOLO (.zip).
+    """Read boxes: MOTChallenge, COCO or this project's own (.json), YOLO (.zip), .csv.
 
     Parameters
     ----------
@@ -215,16 +215,15 @@ def read_boxes(path: str | os.PathLike, size: tuple | None = None, is_truth: boo
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix not in (".json", ".zip"):
+    if suffix not in _READERS:
         return read_rows(path, is_truth)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file of boxes")
     # What is none of these can fail in any way whatever.
     try:
-        return _rows(_read_coco(path) if suffix == ".json" else _read_yolo(path, size))
+        return _rows(_READERS[suffix](path, size, is_truth))
     except Exception as error:
-        kind = "COCO" if suffix == ".json" else "YOLO"
-        raise ValueError(f"{path}: not boxes in {kind}'s format: {error!r}") from error
+        raise ValueError(f"{path}: no boxes that can be read: {error!r}") from error
 
 
 def _rows(values):
@@ -237,15 +236,33 @@ def _rows(values):
     return Rows(frames, ids, boxes, table[:, 6], visibility=np.full(len(table), -1.0))
 
 
-def _read_coco(path):
-    """Yield (frame, id, left, top, width, height, conf) of every annotation."""
+def _read_json(path, _, is_truth):
+    """Yield (frame, id, left, top, width, height, score or conf) of every box."""
     content = json.loads(path.read_bytes())
+    if "frames" not in content:
+        yield from _read_coco(content, is_truth)
+        return
+    for frame in content["frames"]:
+        for vehicle in frame["vehicles"]:
+            yield frame["frame"], *(vehicle[name] for name in _COLUMNS[1:])
+
+
+def _read_csv(path, *_):
+    """As `_read_json`."""
+    with open(path, newline="") as file:
+        for row in csv.DictReader(file):
+            yield tuple(float(row[name]) for name in _COLUMNS)
+
+
+def _read_coco(content, is_truth):
+    """As `_read_json`, of every annotation."""
     numbers = _frame_numbers({image["id"]: image["file_name"] for image in content["images"]})
     for annotation in content["annotations"]:
         attributes = annotation.get("attributes", {})
         identity = annotation.get("track_id", attributes.get("track_id", -1))
-        required = not annotation.get("iscrowd", 0)
-        yield numbers[annotation["image_id"]], identity, *annotation["bbox"], float(required)
+        required = float(not annotation.get("iscrowd", 0))
+        score = required if is_truth else annotation.get("score", 1.0)
+        yield numbers[annotation["image_id"]], identity, *annotation["bbox"], score
 
 
 def _frame_numbers(names):
@@ -257,7 +274,7 @@ def _frame_numbers(names):
     return {key: i for i, key in enumerate(ordered, start=1)}
 
 
-def _read_yolo(path, size):
+def _read_yolo(path, size, _):
     """Yield (frame, -1, left, top, width, height, 1) of every line of every text."""
     if size is None:
         raise ValueError("its boxes are shares of the frame: say how large that is (--size)")
@@ -271,6 +288,9 @@ def _read_yolo(path, size):
                 _, x, y, width, height, *_ = map(float, line.split())
                 left, top = (x - width / 2) * size[0], (y - height / 2) * size[1]
                 yield numbers[name], -1, left, top, width * size[0], height * size[1], 1
+
+
+_READERS: dict = {".json": _read_json, ".csv": _read_csv, ".zip": _read_yolo}
 
 
 def frame_size(text: str) -> tuple:

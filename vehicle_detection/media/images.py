@@ -10,6 +10,7 @@ import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
+from typing import BinaryIO
 
 import cv2
 import numpy as np
@@ -59,12 +60,15 @@ def find_images(folder: str | os.PathLike) -> list:
     return sorted(seen, key=natural_order)
 
 
-def image_format(content: bytes) -> str | None:
-    """Name of an image's format by its content, None for what is no image known here."""
+def image_format(file: BinaryIO) -> str | None:
+    """Name of an image's format by its header, None for what is no image known here."""
     try:
-        with Image.open(io.BytesIO(content), formats=list(IMAGE_FORMATS)) as image:
+        with Image.open(file, formats=list(IMAGE_FORMATS)) as image:
             return image.format
-    except (OSError, ValueError, Image.DecompressionBombError):
+    except Image.DecompressionBombError:
+        # It is one all right, and too large.
+        return "too large"
+    except (OSError, ValueError, SyntaxError):
         return None
 
 

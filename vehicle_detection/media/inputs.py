@@ -22,8 +22,6 @@ from vehicle_detection.media.videos import is_video as holds_video
 if TYPE_CHECKING:
     from vehicle_detection.media.mot import Rows
 
-_HEADER_BYTES = 1 << 16
-
 
 @dataclass(frozen=True)
 class Source:
@@ -105,10 +103,12 @@ def gather_inputs(paths: Iterable, out: str | os.PathLike, form: str = "mot") ->
 
 def _in_folder(folder, out):
     """Yield the path of each image and video, and its name within the folder."""
+    # Results of earlier runs, if they lie within the folder.
     skipped = out.resolve()
+    has_results = folder.resolve() in skipped.parents
     for path in sorted(folder.rglob("*"), key=natural_order):
         name = path.relative_to(folder)
-        is_result = skipped != folder.resolve() and path.resolve().is_relative_to(skipped)
+        is_result = has_results and path.resolve().is_relative_to(skipped)
         if path.is_file() and not is_hidden(name) and not is_result and _is_known(path):
             yield path, name
 
@@ -121,7 +121,7 @@ def _is_known(path):
 def _kind_by_content(path):
     """ "image", "video" or None."""
     with open(path, "rb") as file:
-        if image_format(file.read(_HEADER_BYTES)):
+        if image_format(file):
             return "image"
     return "video" if holds_video(path) else None
 
@@ -170,18 +170,29 @@ def _key(path):
     return str(path).casefold()
 
 
-def require_free_outputs(sources: Iterable, overwrite: bool) -> None:
-    """Refuse outputs that would replace an input, or a file that was there before.
+def require_no_input(sources: list) -> None:
+    """Refuse outputs that would replace an input.
 
     Raises
     ------
     FileExistsError
         Naming the file.
     """
-    sources = list(sources)
     inputs = {source.path.resolve() for source in sources}
     for source in sources:
         for output in source.outputs:
             if output.resolve() in inputs:
                 raise FileExistsError(f"{output}: is an input: use another --out")
+
+
+def require_free_outputs(sources: Iterable, overwrite: bool) -> None:
+    """Refuse outputs that would replace a file that was there before.
+
+    Raises
+    ------
+    FileExistsError
+        Naming the file.
+    """
+    for source in sources:
+        for output in source.outputs:
             require_free(output, overwrite)

@@ -40,20 +40,37 @@ class Journal:
         self._path = folder / _NAME
         self._settings = json.dumps(settings, sort_keys=True)
         self._finished: dict = {}
+        self._begun: dict = {}
         if self._path.is_file():
             try:
                 self._finished = dict(json.loads(self._path.read_bytes()))
             except (TypeError, ValueError) as error:
                 raise ValueError(f"{self._path}: damaged: delete it") from error
 
-    def has(self, source: Source) -> bool:
-        """Whether an input was finished with these settings, and its results are there."""
-        is_there = source.picture.is_file() and source.rows.is_file()
-        return is_there and self._finished.get(str(source.rows)) == self._key(source)
+    def is_finished(self, source: Source, wanted: set) -> bool:
+        """Whether an input was finished with these settings, and its results are there.
 
-    def add(self, source: Source) -> None:
-        """An input is finished."""
-        self._finished[str(source.rows)] = self._key(source)
+        Parameters
+        ----------
+        source : Source
+        wanted : set of str
+            Names of the results that should be there, as attributes of the source.
+        """
+        names = wanted if source.is_video else wanted & {"picture", "rows"}
+        are_there = all(getattr(source, name).is_file() for name in names)
+        return are_there and self._finished.get(str(source.picture)) == self._key(source)
+
+    def knows(self, source: Source) -> bool:
+        """Whether results of this name were made here before."""
+        return str(source.picture) in self._finished
+
+    def begin(self, source: Source) -> None:
+        """Note how an input is before it is read: it may grow meanwhile."""
+        self._begun[str(source.picture)] = self._key(source)
+
+    def finish(self, source: Source) -> None:
+        """An input that was begun is finished."""
+        self._finished[str(source.picture)] = self._begun[str(source.picture)]
         write_whole(self._path, json.dumps(self._finished, indent=1))
 
     def _key(self, source):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack
 from fractions import Fraction
@@ -80,6 +81,8 @@ def _writer(stream, output):
 class _Copier:
     """Packets as they are."""
 
+    n_lost = 0
+
     def __init__(self, stream: Any):
         self._stream = stream
 
@@ -96,6 +99,7 @@ class _Encoder:
     """Sound that the container cannot hold, as AAC."""
 
     def __init__(self, output: Any, context: Any):
+        self.n_lost = 0
         # Some files say how many channels there are, and not where.
         layout = "mono" if context.layout.nb_channels == 1 else "stereo"
         rate = context.sample_rate
@@ -107,6 +111,7 @@ class _Encoder:
             frames = packet.decode()
         except av.FFmpegError:
             # A damaged packet is a crackle.
+            self.n_lost += 1
             return []
         return [p for f in frames for r in self._resample.resample(f) for p in self._encoded(r)]
 
@@ -125,7 +130,8 @@ def _packets(container, writers, start):
     while True:
         try:
             packet = next(packets, None)
-        except av.FFmpegError:
+        except av.FFmpegError as error:
+            warnings.warn(f"sound ends early: {error.strerror}", stacklevel=2)
             break
         if packet is None:
             break
@@ -137,6 +143,8 @@ def _packets(container, writers, start):
         yield from writers[packet.stream](packet)
     for writer in writers.values():
         yield from writer.rest()
+        if writer.n_lost:
+            warnings.warn(f"{writer.n_lost} packets of sound are damaged", stacklevel=2)
 
 
 def _time(packet):

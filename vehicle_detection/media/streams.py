@@ -53,6 +53,7 @@ class LiveReader:
         self._capture = cv2.VideoCapture(address)
         read, frame = self._capture.read()
         if not read:
+            self._capture.release()
             raise OSError(f"{address}: no picture comes from this camera or stream")
         rows, columns = frame.shape[:2]
         fps = self._capture.get(cv2.CAP_PROP_FPS)
@@ -81,10 +82,9 @@ class LiveReader:
             yield Frame(number, when, cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
 
     def close(self) -> None:
-        """Stop receiving."""
+        """Stop receiving. A stream that has stalled is left to its thread."""
         self._is_stopped = True
         self._thread.join(_SECONDS_TO_WAIT)
-        self._capture.release()
 
     def _receive(self):
         number = 1
@@ -94,6 +94,8 @@ class LiveReader:
                 break
             number += 1
             self._put(number, frame)
+        # Here, because no other thread may do it while this one reads.
+        self._capture.release()
         with self._lock:
             self._is_over = True
             self._has_new.set()
@@ -112,6 +114,7 @@ def annotate_stream(
     vehicle: Viewer,
     seconds: float | None = None,
     overwrite: bool = False,
+    preset: str = "ultrafast",
 ) -> str:
     """Detect in a camera or stream until it ends, or is stopped by Ctrl-C or SIGTERM.
 
@@ -128,6 +131,8 @@ def annotate_stream(
         Stop after so long.
     overwrite : bool
         Replace files that are there.
+    preset : str
+        Of the encoder, see `videos.video_writer`.
 
     Returns
     -------
@@ -142,9 +147,9 @@ def annotate_stream(
         mode = "w" if overwrite else "x"
         path = folder / "live.mp4"
         text = stack.enter_context(open(folder / "live.txt", mode, buffering=1))
-        video: Any = stack.enter_context(open(path, f"{mode}+b"))
+        video: Any = stack.enter_context(open(path, f"{mode}+b", buffering=0))
         # Fragments: what is there can be played, whatever happens next.
-        write = stack.enter_context(encoding(video, path, reader.info, is_live=True))
+        write = stack.enter_context(encoding(video, path, reader.info, preset, is_live=True))
         # That is how a live run is meant to end.
         stack.enter_context(suppress(KeyboardInterrupt, Terminated))
         for frame in reader:

@@ -37,6 +37,9 @@ VIDEO_SUFFIXES = {
     ".mpeg", ".vob", ".wmv", ".flv", ".gif", ".ogv", ".dv", ".mxf",
 }  # fmt: skip
 _MUXERS = {".mp4": "mp4", ".m4v": "mp4", ".mov": "mov", ".mkv": "matroska", ".avi": "avi"}
+# What plays before it is loaded, and what can be played while it is written.
+_WHOLE = {"movflags": "faststart"}
+_LIVE = {"movflags": "frag_keyframe+empty_moov", "flush_packets": "1"}
 _QUEUE_LENGTH = 8
 # Headers are often off by a frame or two.
 _INEXACT_HEADER = 2
@@ -108,7 +111,7 @@ def is_video(path: str | os.PathLike) -> bool:
     try:
         with open(path, "rb") as file, _container(file) as container:
             stream = container.streams.best("video")
-            return stream is not None and stream.width > 0
+            return stream is not None and bool(stream.codec_context) and stream.width > 0
     except av.FFmpegError:
         return False
 
@@ -529,8 +532,7 @@ def encoding(
         encoder.put(frame, n_written if time is None else time)
         n_written += 1
 
-    movflags = "frag_keyframe+empty_moov" if is_live else "faststart"
-    encoder = _Encoder(file, path, info, preset, source, movflags)
+    encoder = _Encoder(file, path, info, preset, source, is_live)
     try:
         yield write
     finally:
@@ -550,19 +552,24 @@ class _Encoder:
         The name it will have.
     info, preset, source
         As `video_writer`.
-    movflags : str
-        Of FFmpeg's muxer for mp4 and mov.
+    is_live : bool
+        As `encoding`.
     """
 
     def __init__(
-        self, file: Any, path: Path, info: VideoInfo, preset: str, source: Any, movflags: str
+        self, file: Any, path: Path, info: VideoInfo, preset: str, source: Any, is_live: bool
     ):
         self._path = path
         self._failure: Exception | None = None
+        self._has_ended = False
         self._frames: queue.Queue = queue.Queue(_QUEUE_LENGTH)
         muxer = _MUXERS[path.suffix.lower()]
-        options = {"movflags": movflags} if muxer in ("mp4", "mov") else {}
-        work = partial(self._work, file, (muxer, options), info, preset, source)
+        options = _LIVE if is_live else _WHOLE if muxer in ("mp4", "mov") else {}
+        encoding = {"preset": preset, "crf": "23"}
+        if is_live:
+            # A fragment ends where a key frame comes: every second.
+            encoding["g"] = str(round(info.fps))
+        work = partial(self._work, file, (muxer, options), info, encoding, source)
         self._thread = threading.Thread(target=work, daemon=True)
         self._thread.start()
 
@@ -581,20 +588,26 @@ class _Encoder:
         if self._failure is not None:
             raise OSError(f"{self._path}: cannot be encoded: {self._failure}")
 
-    def _work(self, file, muxer, info, preset, source):
+    def _work(self, file, muxer, info, options, source):
         try:
             with contextlib.ExitStack() as stack:
-                self._encode(file, muxer, info, preset, source, stack)
+                self._encode(file, muxer, info, options, source, stack)
         except Exception as error:
             # Behind what FFmpeg says lies what the file system said.
             is_callback = isinstance(error, av.error.PyAVCallbackError)
             self._failure = error.__context__ if is_callback else error
             # Whoever writes must not wait for a place in the queue.
-            while self._frames.get() is not None:
-                continue
+            while not self._has_ended:
+                self._next()
 
-    def _encode(self, file, muxer, info, preset, source, stack):
-        first = self._frames.get()
+    def _next(self):
+        """The next frame and its time, None at the end."""
+        item = self._frames.get()
+        self._has_ended = item is None
+        return item
+
+    def _encode(self, file, muxer, info, options, source, stack):
+        first = self._next()
         if first is None:
             return
         # The second pass of faststart reads what the first has written.
@@ -603,7 +616,7 @@ class _Encoder:
             av.open(file, "w", *muxer, buffer_size=_IO_BYTES, io_open=reopen)
         )
         output.metadata.update(info.metadata)
-        stream = _video_stream(output, info, preset)
+        stream = _video_stream(output, info, options)
         copied = copies(source, output, stack) if source else None
         to_planes = _ToPlanes(info.colors)
         last, item = -1, first
@@ -617,7 +630,7 @@ class _Encoder:
                 if copied:
                     output.mux(copied.until(packet.dts * packet.time_base))
                 output.mux(packet)
-            item = self._frames.get()
+            item = self._next()
         output.mux(stream.encode(None))
         if copied:
             output.mux(copied.until(None))
@@ -627,10 +640,10 @@ def _reopen(name, url, flags, options):
     return open(name, "rb")
 
 
-def _video_stream(output, info, preset):
+def _video_stream(output, info, options):
     """The stream to encode to."""
     rate = Fraction(info.fps).limit_denominator(100_000)
-    stream = output.add_stream("libx264", rate=rate, options={"preset": preset, "crf": "23"})
+    stream = output.add_stream("libx264", rate=rate, options=options)
     stream.width, stream.height = info.width + info.width % 2, info.height + info.height % 2
     stream.pix_fmt = "yuv420p"
     context = stream.codec_context

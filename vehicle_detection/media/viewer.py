@@ -12,7 +12,7 @@ import numpy as np
 from vehicle_detection.compiled.threads import share
 from vehicle_detection.media.calibration import load_calibration
 from vehicle_detection.media.drawing import draw_title, draw_vehicles
-from vehicle_detection.parameters import SMALLEST_SIDE, TALLEST_FRAME
+from vehicle_detection.parameters import DEFAULT_FRAME
 
 _ROWS_WORTH_A_THREAD = 100
 
@@ -131,8 +131,9 @@ def require_frame(rgb_frame: np.ndarray, shape: tuple | None) -> None:
     if shape not in (None, rgb_frame.shape):
         raise ValueError(f"a frame of {rgb_frame.shape} after one of {shape}")
     rows, columns = rgb_frame.shape[:2]
-    if min(rows, columns) < SMALLEST_SIDE or rows > TALLEST_FRAME * columns:
+    smallest, tallest = DEFAULT_FRAME.smallest_side, DEFAULT_FRAME.tallest
+    if min(rows, columns) < smallest or rows > tallest * columns:
         raise ValueError(
-            f"no window fits a frame of {columns}x{rows}: both sides need {SMALLEST_SIDE} "
-            f"pixels, and the height is at most {TALLEST_FRAME} times the width"
+            f"no window fits a frame of {columns}x{rows}: both sides need {smallest} pixels, "
+            f"and the height is at most {tallest} times the width"
         )

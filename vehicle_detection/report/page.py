@@ -17,19 +17,22 @@ import numpy as np
 
 from vehicle_detection.evaluation.metrics import errors_by_frame, evaluate
 from vehicle_detection.media.drawing import identity_color
+from vehicle_detection.parameters import DEFAULT_REPORT, ReportParams
 
 if TYPE_CHECKING:
     from vehicle_detection.media.annotate import Found
     from vehicle_detection.media.mot import Rows
 
 _TEMPLATE = Path(__file__).with_name("page.html")
-# A height that changes by more from frame to frame deserves a look.
-_SUDDEN = 1.25
-_MOST_NOTABLE = 60
 
 
 def report_data(
-    title: str, found: Found, panels: Sequence, parameters: str, truth: Rows | None = None
+    title: str,
+    found: Found,
+    panels: Sequence,
+    parameters: str,
+    truth: Rows | None = None,
+    params: ReportParams = DEFAULT_REPORT,
 ) -> dict:
     """All that the page shows, as plain values.
 
@@ -41,6 +44,7 @@ def report_data(
         What the four quarters of the video show.
     parameters : str
     truth : Rows, optional
+    params : ReportParams
 
     Returns
     -------
@@ -60,7 +64,7 @@ def report_data(
         "errors": None,
         "figures": None,
     }
-    notable = _notable(rows, vehicles)
+    notable = _notable(rows, vehicles, params)
     if found.losses:
         notable.append((numbers[0], found.losses))
     if truth is not None:
@@ -70,9 +74,13 @@ def report_data(
         data["errors"] = [[frames[i], int(misses[i]), int(alarms[i])] for i in wrong]
         data["figures"] = _plain(evaluate(truth, rows, frames))
         # Where errors begin: those in a row have one cause.
-        starts = [i for i in wrong if i - 1 not in wrong]
+        before = set(wrong)
+        starts = [i for i in wrong if i - 1 not in before]
         notable += [(frames[i], f"{misses[i]} missed, {alarms[i]} false") for i in starts]
-    data["notable"] = sorted(notable)[:_MOST_NOTABLE]
+    # Evenly spread, so that no part of the video is left out.
+    step = -(-len(notable) // params.most_notable) or 1
+    data["notable"] = sorted(notable)[::step]
+    data["left_out"] = len(notable) - len(data["notable"])
     return data
 
 
@@ -99,7 +107,7 @@ def _vehicle(identity, rows):
     }
 
 
-def _notable(rows, vehicles):
+def _notable(rows, vehicles, params):
     """Frames where a vehicle comes, goes, is missing or changes its size at once."""
     notable = []
     for vehicle in vehicles:
@@ -110,7 +118,7 @@ def _notable(rows, vehicles):
             notable.append((end + 1, f"{name} is missing for {start - end - 1} frames"))
         own = rows.only(rows.ids == vehicle["id"])
         heights = np.log(own.boxes[:, 3] - own.boxes[:, 1])
-        sudden = np.flatnonzero(np.abs(np.diff(heights)) > np.log(_SUDDEN)) + 1
+        sudden = np.flatnonzero(np.abs(np.diff(heights)) > np.log(params.sudden_growth)) + 1
         notable += [(int(own.frames[i]), f"{name} changes its size at once") for i in sudden]
     return notable
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,9 +23,6 @@ from vehicle_detection.two_stage.proposals import level_groups, propose
 from vehicle_detection.two_stage.refinement import merge, refine
 from vehicle_detection.two_stage.road import RoadMemory, misplacement, reach
 from vehicle_detection.two_stage.selection import are_plausible, non_max_suppression
-
-if TYPE_CHECKING:
-    pass
 
 SHIPPED_DETECTOR = Path(__file__).parents[2] / "param/detector.npz"
 
@@ -172,9 +169,14 @@ class TwoStageVehicle(Viewer):
         """Candidates that lose score where no vehicle can stand."""
         boxes, params = candidates.boxes, self.params.road
         # A vehicle that the lower border cuts stands lower than it seems to.
-        at_border = touches_border(boxes, self._frame_shape, self.params.selection.at_border)
-        cost = params.cost * ~at_border[:, 3] * misplacement(boxes, road, params) ** 2 / 2
+        cost = (
+            params.cost * ~self._at_border(boxes)[:, 3] * misplacement(boxes, road, params) ** 2 / 2
+        )
         return replace(candidates, scores=candidates.scores - cost)
+
+    def _at_border(self, boxes):
+        """Which edges lie at the border of the frame, shape (n, 4)."""
+        return touches_border(boxes, self._frame_shape, self.params.selection.at_border)
 
     def _suppress(self, candidates):
         rank = candidates.scores + self.params.selection.track_bonus * candidates.is_tracked
@@ -183,8 +185,9 @@ class TwoStageVehicle(Viewer):
     def _are_whole_cars(self, boxes):
         """Which boxes tell where the road is."""
         width, height = (boxes[:, 2:] - boxes[:, :2]).T
-        at_border = touches_border(boxes, self._frame_shape, self.params.selection.at_border)
-        return ~at_border.any(axis=1) & (width > self.params.selection.whole_car_aspect * height)
+        return ~self._at_border(boxes).any(axis=1) & (
+            width > self.params.selection.whole_car_aspect * height
+        )
 
     def _detections(self, proposals, candidates, tracks):
         """Vehicles are the confirmed tracks that have a box in this frame."""
@@ -208,7 +211,9 @@ class TwoStageVehicle(Viewer):
             return None
         rows, columns = self._frame_shape[:2]
         focal = self.calibration.mtx[1, 1] * columns / self.calibration.image_size[0]
-        return distances(boxes, self._memory.road(rows), focal, self.params.distance)
+        metres = distances(boxes, self._memory.road(rows), focal, self.params.distance)
+        # What the lower border cuts stands lower than it seems to.
+        return np.where(self._at_border(boxes)[:, 3], np.nan, metres)
 
     def step_pictures(self, rgb_frame: np.ndarray, detections: Any) -> list:
         """What `titles` name, each drawn on the frame.

@@ -8,7 +8,8 @@ footage -> windows -> first stage -> hard negatives -> proposals -> regressor ->
 
 from __future__ import annotations
 
-from vehicle_detection import command_line  # isort: split
+if __name__ == "__main__":
+    import vehicle_detection.early_interrupt  # noqa: F401, before the libraries
 
 import argparse
 import shlex
@@ -17,6 +18,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from vehicle_detection import command_line
 from vehicle_detection.evaluation.confusion import draw_confusion
 from vehicle_detection.media.files import write_whole, written_whole
 from vehicle_detection.parameters import DEFAULT_TRAINING, QUICK_TRAINING

