@@ -29,8 +29,8 @@ from vehicle_detection.parameters import (
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from vehicle_detection.media.annotate import Found
     from vehicle_detection.media.inputs import Source
+    from vehicle_detection.media.mot import Rows
     from vehicle_detection.parameters import SearchParams
 
 ROOT = Path(__file__).parent
@@ -274,38 +274,52 @@ def annotate(source: Source, arguments: argparse.Namespace, vehicle: Any = None)
         if not source.is_video:
             annotate_image(source, vehicle)
             return source, "", ""
+        truth = read_truth(arguments, source) if arguments.truth else None
         split_screen = arguments.split_screen or arguments.report
         options = split_screen, arguments.preset, arguments.quiet
         found = annotate_video(source, vehicle, *options)
         if arguments.report:
-            write_report(source, found, vehicle, arguments)
+            write_report(source, (found, truth), vehicle, arguments)
         return source, "", found.losses
     except (OSError, ValueError) as error:
         return source, str(error), ""
 
 
-def write_report(source: Source, found: Found, vehicle: Any, arguments: argparse.Namespace) -> None:
-    """Write the page of a video beside its split screen, or with that inside."""
+def write_report(
+    source: Source, found_and_truth: tuple, vehicle: Any, arguments: argparse.Namespace
+) -> None:
+    """Write the page of a video beside its split screen, or with that inside.
+
+    Parameters
+    ----------
+    source : Source
+    found_and_truth : (Found, Rows or None)
+    vehicle : TwoStageVehicle or Vehicle
+    arguments : argparse.Namespace
+    """
     from pprint import pformat
 
     from vehicle_detection.media.files import write_whole
-    from vehicle_detection.media.videos import video_info
     from vehicle_detection.report.page import page, report_data
 
-    info = video_info(source.path)
-    truth = read_truth(arguments, (info.width, info.height))
     parameters = pformat({"method": arguments.method, **vehicle.settings()}, width=100)
+    found, truth = found_and_truth
     data = report_data(source.path.name, found, vehicle.titles, parameters, truth)
     video = source.split_screen
     html = page(data, video if arguments.embed else video.name, arguments.embed)
     write_whole(source.report, html)
 
 
-def read_truth(arguments: argparse.Namespace, size: tuple) -> Any:
-    """True boxes for the report, None if there are none. YOLO's are shares of the size."""
+def read_truth(arguments: argparse.Namespace, source: Source) -> Rows:
+    """True boxes of a video for its report; they must lie in its frames."""
     from vehicle_detection.media.formats import read_boxes
+    from vehicle_detection.media.mot import require_within
+    from vehicle_detection.media.videos import video_info
 
-    return read_boxes(arguments.truth, size, is_truth=True) if arguments.truth else None
+    info = video_info(source.path)
+    truth = read_boxes(arguments.truth, (info.width, info.height), is_truth=True)
+    require_within(truth, (info.height, info.width), arguments.truth)
+    return truth
 
 
 def one_after_the_other(sources: list, arguments: argparse.Namespace) -> Iterator:
@@ -329,11 +343,17 @@ def side_by_side(sources: list, arguments: argparse.Namespace) -> Iterator:
     from tqdm.auto import tqdm
 
     from vehicle_detection.compiled.processes import each_at_once, workers
+    from vehicle_detection.media.files import sweep
 
     alone = argparse.Namespace(**(vars(arguments) | {"quiet": True}))
-    with workers(arguments.scheduler, arguments.jobs):
-        results = each_at_once(partial(annotate, arguments=alone), sources)
-        yield from tqdm(results, "inputs", len(sources), disable=arguments.quiet)
+    try:
+        with workers(arguments.scheduler, arguments.jobs):
+            results = each_at_once(partial(annotate, arguments=alone), sources)
+            yield from tqdm(results, "inputs", len(sources), disable=arguments.quiet)
+    finally:
+        # Of workers that were killed because this program is stopped.
+        for folder in {source.picture.parent for source in sources}:
+            sweep(folder)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -354,7 +374,9 @@ def run(arguments: argparse.Namespace) -> int:
     # Before any work, for mistakes in parameter and truth files.
     for is_still in {not source.is_video for source in sources}:
         open_vehicle(arguments, is_still)
-    read_truth(arguments, (1, 1))
+    if arguments.truth:
+        for source in [source for source in sources if source.is_video][:1]:
+            read_truth(arguments, source)
     arguments.out.mkdir(parents=True, exist_ok=True)
     journal = Journal(arguments.out, settings_of(arguments)) if arguments.resume else None
     sources = to_be_done(sources, journal, arguments)
@@ -374,7 +396,7 @@ def to_be_done(sources: list, journal: Any, arguments: argparse.Namespace) -> li
     """Inputs that are not finished, once it is sure that nothing of value is replaced."""
     from vehicle_detection.media.inputs import require_free_outputs, require_no_input
 
-    require_no_input(sources)
+    require_no_input(sources, [arguments.truth, arguments.calib, arguments.param])
     if journal is None:
         require_free_outputs(sources, arguments.overwrite)
         return sources

@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -271,3 +272,24 @@ def test_a_report_that_is_gone_is_made_again(tmp_path):
     (tmp_path / "sound.txt").write_text("mine")
     other = CASES / "sound.mp4", "--out", tmp_path, "--resume"
     assert run(*other).returncode == 1 and (tmp_path / "sound.txt").read_text() == "mine"
+
+
+def test_nothing_is_left_by_workers_that_are_stopped(tmp_path):
+    for name in ("a", "b"):
+        shutil.copy(ROOT / "videos/drive.mp4", tmp_path / f"{name}.mp4")
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        [sys.executable, "detect.py", tmp_path, "--out", out, "--jobs", "2", "--quiet"], cwd=ROOT,
+        stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    for _ in range(300):
+        time.sleep(0.1)
+        if out.exists() and len(list(out.iterdir())) >= 4:
+            break
+    process.terminate()
+    assert process.wait() == 143
+    for _ in range(80):
+        time.sleep(0.1)
+        if not list(out.iterdir()):
+            return
+    pytest.fail(f"still there: {list(out.iterdir())}")

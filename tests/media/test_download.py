@@ -143,6 +143,17 @@ def test_a_damaged_archive_is_fetched_anew(tree, tmp_path):
     gather(Origin(folder=tree), tmp_path / "data")
 
 
+def test_archives_of_ones_own_are_never_deleted(tree, tmp_path):
+    with pytest.raises(ValueError, match="archives lie here already"):
+        gather(Origin(folder=tree), tree)
+    out = tmp_path / "data"
+    out.mkdir()
+    (out / "vehicles.zip").write_text("mine")
+    with pytest.raises(ValueError, match=r"vehicles\.zip: not what it should be.*delete it"):
+        gather(Origin(folder=tree), out)
+    assert (out / "vehicles.zip").read_text() == "mine" and (tree / "vehicles.zip").exists()
+
+
 def test_images_are_counted(tree, tmp_path, monkeypatch):
     monkeypatch.setattr(download, "ARCHIVES", {"vehicles.zip": 4, "non-vehicles.zip": 3})
     with pytest.raises(ValueError, match=r"vehicles\.zip: 3 images instead of 4"):

@@ -79,7 +79,7 @@ def test_what_a_killed_process_left_is_swept_and_nothing_else(tmp_path):
         killed.wait()
         (tmp_path / ".somebody-elses.partial").touch()
         assert len(list(tmp_path.iterdir())) == 3
-        files._sweep.cache_clear()
+        files._sweep_once.cache_clear()
         write_whole(tmp_path / "result.txt", "whole")
         names = sorted(path.name for path in tmp_path.iterdir())
         assert names[0] == ".somebody-elses.partial" and names[2] == "result.txt"

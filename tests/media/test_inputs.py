@@ -92,3 +92,18 @@ def test_bad_inputs_are_named(folder, tmp_path):
         gather_inputs([tmp_path / "empty"], tmp_path / "out")
     with pytest.raises(ValueError, match="null: is no regular file"):
         gather_inputs(["/dev/null"], tmp_path / "out")
+
+
+def test_what_cannot_be_read_or_named_stops_no_other(folder, tmp_path):
+    (folder / "loop").symlink_to("loop")
+    (folder / "empty.mp4").touch()
+    (folder / ("x" * 248 + ".mp4")).write_bytes(b"no video")
+    sources = gather_inputs([folder], tmp_path / "out")
+    assert len(sources) == 9
+    require_free_outputs(sources, overwrite=False)
+
+
+def test_what_is_read_beside_the_inputs_is_kept(folder):
+    sources = gather_inputs([folder / "2.png"], folder / "results")
+    with pytest.raises(FileExistsError, match="is an input"):
+        require_no_input(sources, [None, folder / "results/2.txt"])

@@ -3,13 +3,17 @@
 import threading
 import time
 from fractions import Fraction
+from itertools import pairwise
 
 import av
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from conftest import CASES, moving_frames, textured_image, write_video
+from vehicle_detection.media.sound import Timeline
 from vehicle_detection.media.videos import (
     VideoInfo,
     VideoReader,
@@ -410,3 +414,66 @@ def test_a_codec_that_nobody_knows_is_no_video(tmp_path):
     assert not is_video(path)
     with pytest.raises(ValueError, match="no video in it that can be decoded"):
         video_info(path)
+
+
+@given(times=st.lists(st.integers(-1000, 1000), min_size=1, max_size=20))
+def test_times_only_rise(times):
+    timeline = Timeline()
+    found = [timeline.after(time) for time in times]
+    assert all(b > a for a, b in pairwise(found)) and found[0] == times[0]
+    rising = sorted(set(times))
+    timeline = Timeline()
+    assert [timeline.after(time) for time in rising] == rising
+
+
+def test_joined_recordings_go_on(tmp_path):
+    """Two transport streams, one behind the other: times and sound begin again."""
+    once = encoded(tmp_path / "once.ts", moving_frames(25), sound="aac").read_bytes()
+    (tmp_path / "twice.ts").write_bytes(once + once)
+    copied(tmp_path / "twice.ts", tmp_path / "copy.mp4")
+    times = seconds(tmp_path / "copy.mp4")
+    assert len(times) == 50 and 1.8 < times[-1] < 2.3
+    assert np.diff(times).min() > 0.03
+    assert packets(tmp_path / "copy.mp4", "audio")[1][-1][0] > 1.5
+
+
+def test_a_resolution_that_changes_ends_nothing(tmp_path):
+    small = encoded(tmp_path / "small.ts", moving_frames(10)).read_bytes()
+    large = encoded(tmp_path / "large.ts", moving_frames(10, 360, 640)).read_bytes()
+    (tmp_path / "both.ts").write_bytes(small + large)
+    shapes = {frame.shape for frame in read_frames(tmp_path / "both.ts")}
+    assert shapes == {(180, 320, 3)}
+    copied(tmp_path / "both.ts", tmp_path / "copy.mp4")
+
+
+def test_times_of_an_avi_without_an_index(tmp_path):
+    path = encoded(tmp_path / "clip.avi", moving_frames(30), "mjpeg")
+    content = path.read_bytes()
+    path.write_bytes(content[: content.rindex(b"idx1")])
+    reader = VideoReader(path)
+    assert [frame.time for frame in reader] == list(range(30)) and reader.lost == []
+
+
+@pytest.mark.parametrize("rate", [6000, 192_000])
+def test_sound_of_an_odd_rate_is_kept(tmp_path, rate):
+    path = tmp_path / "clip.mov"
+    with av.open(str(path), "w") as output:
+        stream = output.add_stream("libx264", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 320, 180, "yuv420p"
+        tone = output.add_stream("pcm_s16le", rate=rate, layout="mono")
+        for frame in moving_frames(25):
+            output.mux(stream.encode(av.VideoFrame.from_ndarray(frame, "rgb24")))
+        output.mux(stream.encode(None))
+        samples = av.AudioFrame.from_ndarray(np.zeros((1, rate), np.int16), "s16", "mono")
+        samples.rate, samples.pts = rate, 0
+        output.mux(tone.encode(samples))
+        output.mux(tone.encode(None))
+    copied(path, tmp_path / "copy.mp4")
+    assert packets(tmp_path / "copy.mp4", "audio")[0] == "aac"
+
+
+def test_an_empty_file_is_no_video(tmp_path):
+    (tmp_path / "empty.mp4").touch()
+    assert not is_video(tmp_path / "empty.mp4")
+    with pytest.raises(ValueError, match=r"empty\.mp4: not a readable video"):
+        video_info(tmp_path / "empty.mp4")

@@ -65,6 +65,8 @@ def test_names_end_no_script_and_no_attribute(tmp_path):
     assert "</script><b>" not in html and 'src="a%22b%20%3Cc%3E.mp4"' in html
     inside = re.search(r'application/json">(.*?)</script>', html, re.DOTALL)[1]
     assert json.loads(inside)["title"] == '</script><b>".mp4'
+    assert 'src="REPORT_DATA.mp4"' in page(data, "REPORT_DATA.mp4")
+    assert 'src="%FF.mp4"' in page(data, "\udcff.mp4")
     clip = write_video(tmp_path / "clip.mp4", list(moving_frames(3)))
     assert 'src="data:video/mp4;base64,AAAA' in page(data, clip, embed=True)
 
@@ -90,9 +92,10 @@ def test_the_page_in_a_browser(tmp_path, embed):
 
 
 def test_a_report_with_truth_and_the_write_ups_method(param, tmp_path):
-    result = run(
-        ROOT / "tests/cases/gps_track.mp4", "--out", tmp_path, "--method", "G", "--param", param,
-        "--truth", ROOT / "videos/drive.gt.txt",
-    )  # fmt: skip
+    (tmp_path / "truth.txt").write_text("1,1,140,149,41,34,1\n")
+    command = CASES / "gps_track.mp4", "--out", tmp_path, "--method", "G", "--param", param
+    result = run(*command, "--truth", tmp_path / "truth.txt")
     assert result.returncode == 0, result.stderr
     assert '"recall"' in (tmp_path / "gps_track_report.html").read_text()
+    result = run(*command, "--overwrite", "--truth", ROOT / "videos/drive.gt.txt")
+    assert result.returncode == 1 and "truth of other footage" in result.stderr

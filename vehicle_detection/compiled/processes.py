@@ -14,9 +14,11 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from threadpoolctl import threadpool_limits
 from tqdm.auto import tqdm
 
+from vehicle_detection.command_line import Terminated
 from vehicle_detection.compiled.threads import work_alone
 
 _SECONDS_BETWEEN_LOOKS = 0.5
+_SECONDS_TO_TIDY = 1.5
 _ATTEMPTS = 5
 
 
@@ -105,14 +107,20 @@ def begin_worker() -> None:
     that was.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGTERM, _stop)
     threadpool_limits(1)
     work_alone()
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
 
 
+def _stop(*_):
+    raise Terminated
+
+
 def _end_with(parent):
-    """End this process when its parent is no longer there."""
+    """End this process when its parent is no longer there, after what it does has tidied up."""
     while os.getppid() == parent:
         time.sleep(_SECONDS_BETWEEN_LOOKS)
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(_SECONDS_TO_TIDY)
     os._exit(1)

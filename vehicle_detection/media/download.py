@@ -98,13 +98,19 @@ def fetch(origin: Origin, name: str, folder: Path) -> Path:
     return path
 
 
-def check(path: Path) -> None:
+def check(path: Path, is_ours: bool) -> None:
     """Read a file as what it should be.
+
+    Parameters
+    ----------
+    path : Path
+    is_ours : bool
+        This run has fetched it, and deletes it if it is something else.
 
     Raises
     ------
     ValueError
-        It is something else. It is deleted, so that the next run fetches it anew.
+        It is something else.
     """
     try:
         if path.suffix == ".zip":
@@ -116,9 +122,11 @@ def check(path: Path) -> None:
             video_info(path)
         else:
             read_image(path)
-    except (ValueError, EOFError, zlib.error, zipfile.BadZipFile) as error:
-        path.unlink()
-        raise ValueError(f"{path}: not what it should be: {error}: run this again") from error
+    except (ValueError, EOFError, RuntimeError, zlib.error, zipfile.BadZipFile) as error:
+        if is_ours:
+            path.unlink()
+        what = "run this again" if is_ours else "delete it"
+        raise ValueError(f"{path}: not what it should be: {error}: {what}") from error
 
 
 def unpack(path: Path, folder: Path, n_images: int) -> None:
@@ -138,7 +146,6 @@ def unpack(path: Path, folder: Path, n_images: int) -> None:
         with zipfile.ZipFile(path) as archive:
             members = list(_images(archive.namelist(), name))
             if len(members) != n_images:
-                path.unlink()
                 raise ValueError(f"{path}: {len(members)} images instead of {n_images}")
             for member in members:
                 archive.extract(member, temporary)
@@ -156,16 +163,23 @@ def _images(names: Iterable, folder: str) -> Iterable:
 
 def gather(origin: Origin, folder: Path) -> None:
     """All files into a folder; what is there already is left alone."""
+    if origin.folder and origin.folder.resolve() == folder.resolve():
+        raise ValueError(f"{folder}: archives lie here already: use another --out")
     folder.mkdir(parents=True, exist_ok=True)
     for name in (*PICTURES, *VIDEOS):
-        check(fetch(origin, name, folder))
+        was_there = (folder / name).exists()
+        check(fetch(origin, name, folder), is_ours=not was_there)
         print(f"{folder / name}")
     for name, n_images in ARCHIVES.items():
         if not (folder / Path(name).stem).is_dir():
+            was_there = (folder / name).exists()
             path = fetch(origin, name, folder)
-            check(path)
-            unpack(path, folder, n_images)
-            path.unlink()
+            check(path, is_ours=not was_there)
+            try:
+                unpack(path, folder, n_images)
+            finally:
+                if not was_there:
+                    path.unlink()
         print(f"{folder / Path(name).stem}: {n_images} images")
 
 

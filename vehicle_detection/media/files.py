@@ -58,7 +58,7 @@ def written_whole(path: str | os.PathLike) -> Iterator[BinaryIO]:
     if path.exists() and not path.is_file():
         raise OSError(f"{path}: is no regular file, and is not replaced")
     path.parent.mkdir(parents=True, exist_ok=True)
-    _sweep(path.parent.resolve())
+    _sweep_once(path.parent.resolve())
     partial, file = _new_file(path.parent)
     try:
         with file:
@@ -88,8 +88,13 @@ def _new_file(folder):
 
 
 @cache
-def _sweep(folder):
-    """Delete the partial files of processes that are gone, once for each folder."""
+def _sweep_once(folder):
+    """As `sweep`, at the first file that is written into a folder."""
+    sweep(folder)
+
+
+def sweep(folder: Path) -> None:
+    """Delete the partial files that processes which are gone have left in a folder."""
     for partial in folder.glob(_PARTIAL.format("*")):
         with suppress(OSError):
             if fcntl:

@@ -108,8 +108,10 @@ def _in_folder(folder, out):
     has_results = folder.resolve() in skipped.parents
     for path in sorted(folder.rglob("*"), key=natural_order):
         name = path.relative_to(folder)
+        if not path.is_file() or is_hidden(name):
+            continue
         is_result = has_results and path.resolve().is_relative_to(skipped)
-        if path.is_file() and not is_hidden(name) and not is_result and _is_known(path):
+        if not is_result and _is_known(path):
             yield path, name
 
 
@@ -119,10 +121,13 @@ def _is_known(path):
 
 
 def _kind_by_content(path):
-    """ "image", "video" or None."""
-    with open(path, "rb") as file:
-        if image_format(file):
-            return "image"
+    """ "image", "video" or None, also for what cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            if image_format(file):
+                return "image"
+    except OSError:
+        return None
     return "video" if holds_video(path) else None
 
 
@@ -170,8 +175,14 @@ def _key(path):
     return str(path).casefold()
 
 
-def require_no_input(sources: list) -> None:
+def require_no_input(sources: list, others: Iterable = ()) -> None:
     """Refuse outputs that would replace an input.
+
+    Parameters
+    ----------
+    sources : list of Source
+    others : iterable of path or None
+        Files that are read beside them.
 
     Raises
     ------
@@ -179,6 +190,7 @@ def require_no_input(sources: list) -> None:
         Naming the file.
     """
     inputs = {source.path.resolve() for source in sources}
+    inputs |= {Path(other).resolve() for other in others if other}
     for source in sources:
         for output in source.outputs:
             if output.resolve() in inputs:
@@ -195,4 +207,10 @@ def require_free_outputs(sources: Iterable, overwrite: bool) -> None:
     """
     for source in sources:
         for output in source.outputs:
-            require_free(output, overwrite)
+            try:
+                require_free(output, overwrite)
+            except FileExistsError:
+                raise
+            except OSError:
+                # A name that cannot be, such as one that is too long, fails when it is written.
+                continue

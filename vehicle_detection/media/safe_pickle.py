@@ -13,6 +13,8 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 _MARK = b"sha256:"
 _DIGEST = hashlib.sha256().digest_size
 _TAIL = len(_MARK) + _DIGEST
@@ -32,8 +34,22 @@ _SKLEARN = {
 }
 
 
-class _Unpickler(pickle.Unpickler):
-    """Admits a list of names."""
+def _plain_dtype(kind: str, *rest: Any) -> np.dtype:
+    """A type of plain numbers: an array of objects would follow any address in the file."""
+    dtype = np.dtype(kind)
+    if dtype.kind not in "fiub":
+        raise pickle.UnpicklingError(f"arrays of {dtype} are not admitted")
+    return dtype
+
+
+# The stubs of the standard library do not know the unpickler that is written in Python.
+_PythonUnpickler: Any = pickle._Unpickler  # type: ignore[attr-defined]
+
+
+class _Unpickler(_PythonUnpickler):
+    """Admits a list of names. In Python throughout, so that each step can be looked at."""
+
+    dispatch = dict(_PythonUnpickler.dispatch)
 
     def __init__(self, content: bytes, trusted: Sequence):
         super().__init__(io.BytesIO(content))
@@ -46,7 +62,23 @@ class _Unpickler(pickle.Unpickler):
                 f"it names {module}.{name}, which is not admitted; "
                 f"if you trust the file, admit it with --trust {module}.{name}"
             )
+        if (module, name) == ("numpy", "dtype"):
+            return _plain_dtype
         return super().find_class(module, name)
+
+    def load_build(self) -> None:
+        """Give an object its state; a type of numbers has none but its byte order."""
+        state, dtype = self.stack[-1], self.stack[-2]
+        if isinstance(dtype, np.dtype):
+            plain = isinstance(state, tuple) and len(state) == 8 and state[2:5] == (None,) * 3
+            if not plain or state[1] not in ("<", ">", "|", "="):
+                raise pickle.UnpicklingError("a type of numbers with fields is not admitted")
+            self.stack.pop()
+            self.stack[-1] = dtype.newbyteorder(state[1]) if state[1] in "<>" else dtype
+            return
+        super().load_build()
+
+    dispatch[pickle.BUILD[0]] = load_build
 
 
 def dumps(value: Any) -> bytes:

@@ -13,9 +13,27 @@ import av
 
 # What players read in an mp4 file; other sound is encoded anew.
 _COPIED_SOUND = {"aac", "mp3", "ac3", "eac3", "alac", "opus", "flac", "mp2"}
-# Samples of a frame.
+# Samples of a frame, and of a second.
 _AAC_SAMPLES = 1024
+_AAC_RATES = (8000, 11025, 12000, 16000, 22050, 24000, 32000, 44100, 48000, 88200, 96000)
 _COPIED_TEXT = {"mov_text"}
+
+
+class Timeline:
+    """Times that only rise: where a source goes back, as joined recordings do, it goes on."""
+
+    def __init__(self):
+        self._last: int | None = None
+        self._step, self._shift = 1, 0
+
+    def after(self, time: int) -> int:
+        """The time, or one step after the last where that is not before it."""
+        if self._last is not None:
+            if time + self._shift <= self._last:
+                self._shift = self._last + self._step - time
+            self._step = time + self._shift - self._last
+        self._last = time + self._shift
+        return self._last
 
 
 class Copies:
@@ -73,6 +91,9 @@ def _writer(stream, output):
         return _Copier(output.add_stream_from_template(stream))
     if stream.type != "audio":
         return None
+    if not context.sample_rate:
+        warnings.warn("a track without any sound is left out", stacklevel=2)
+        return None
     if context.name.removesuffix("float") in _COPIED_SOUND:
         return _Copier(output.add_stream_from_template(stream))
     return _Encoder(output, context)
@@ -102,7 +123,7 @@ class _Encoder:
         self.n_lost = 0
         # Some files say how many channels there are, and not where.
         layout = "mono" if context.layout.nb_channels == 1 else "stereo"
-        rate = context.sample_rate
+        rate = min(_AAC_RATES, key=lambda one: abs(one - context.sample_rate))
         self._stream = output.add_stream("aac", rate=rate, layout=layout, format="fltp")
         self._resample = av.AudioResampler("fltp", layout, rate, frame_size=_AAC_SAMPLES)
 
@@ -127,6 +148,7 @@ class _Encoder:
 def _packets(container, writers, start):
     """Yield packets of all output streams, times from the start of the video."""
     packets = container.demux(list(writers))
+    timelines = {stream: Timeline() for stream in writers}
     while True:
         try:
             packet = next(packets, None)
@@ -139,7 +161,8 @@ def _packets(container, writers, start):
             continue
         shift = round(start / packet.time_base)
         packet.pts = packet.dts if packet.pts is None else packet.pts
-        packet.pts, packet.dts = packet.pts - shift, packet.dts - shift
+        dts = timelines[packet.stream].after(packet.dts - shift)
+        packet.pts, packet.dts = packet.pts - packet.dts + dts, dts
         yield from writers[packet.stream](packet)
     for writer in writers.values():
         yield from writer.rest()

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 
 from vehicle_detection.command_line import Terminated
+from vehicle_detection.media.files import require_free
 from vehicle_detection.media.mot import mot_rows
 from vehicle_detection.media.videos import Frame, VideoInfo, encoding
 
@@ -140,14 +141,13 @@ def annotate_stream(
         How many frames were searched and dropped.
     """
     vehicle.reset()
+    path, rows = (require_free(folder / name, overwrite) for name in ("live.mp4", "live.txt"))
     reader, count = LiveReader(address), 0
     begin = time.monotonic()
     with ExitStack() as stack:
         stack.callback(reader.close)
-        mode = "w" if overwrite else "x"
-        path = folder / "live.mp4"
-        text = stack.enter_context(open(folder / "live.txt", mode, buffering=1))
-        video: Any = stack.enter_context(open(path, f"{mode}+b", buffering=0))
+        text = stack.enter_context(open(rows, "w", buffering=1))
+        video: Any = stack.enter_context(open(path, "w+b", buffering=0))
         # Fragments: what is there can be played, whatever happens next.
         write = stack.enter_context(encoding(video, path, reader.info, preset, is_live=True))
         # That is how a live run is meant to end.

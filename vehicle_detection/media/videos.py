@@ -27,7 +27,7 @@ from av.filter import Graph
 from av.video.reformatter import VideoReformatter
 
 from vehicle_detection.media.files import written_whole
-from vehicle_detection.media.sound import copies
+from vehicle_detection.media.sound import Timeline, copies
 
 # Containers of cameras. Playlists and scripts, which make FFmpeg open other files, are none.
 _CONTAINERS = "mov,matroska,webm,avi,mpegts,mpeg,asf,flv,gif,ogg,dv,mxf"
@@ -112,7 +112,7 @@ def is_video(path: str | os.PathLike) -> bool:
         with open(path, "rb") as file, _container(file) as container:
             stream = container.streams.best("video")
             return stream is not None and bool(stream.codec_context) and stream.width > 0
-    except av.FFmpegError:
+    except (av.FFmpegError, OSError):
         return False
 
 
@@ -240,7 +240,7 @@ def _opened(path):
     with open(path, "rb") as file:
         try:
             container = _container(file)
-        except av.FFmpegError as error:
+        except (av.FFmpegError, OSError) as error:
             raise ValueError(f"{path}: not a readable video: {error.strerror}") from error
         with container:
             stream = container.streams.best("video")
@@ -304,7 +304,9 @@ class _IndexTimes:
 
     def __init__(self, container: Any, stream: Any):
         entries = stream.index_entries if container.format.name == "avi" else ()
-        self._entries = sorted((entry.pos, entry.timestamp) for entry in entries)
+        # Without an index in the file, FFmpeg has no more than its first entries.
+        is_whole = len(entries) >= stream.frames - _INEXACT_HEADER
+        self._entries = sorted((e.pos, e.timestamp) for e in entries) if is_whole else []
 
     def __call__(self, packet: Any) -> None:
         """Put a packet where the index has what lies at its place in the file."""
@@ -423,9 +425,12 @@ class _ToRGB:
 
     def __init__(self):
         self._convert = VideoReformatter()
+        self._size: tuple | None = None
 
     def __call__(self, frame: av.VideoFrame) -> np.ndarray:
-        rgb = self._convert.reformat(frame, format="rgb24").to_ndarray()
+        # A camera that changes its resolution goes on in that of its first frame.
+        width, height = self._size = self._size or (frame.width, frame.height)
+        rgb = self._convert.reformat(frame, width, height, format="rgb24").to_ndarray()
         turns = _quarter_turns(frame)
         return np.ascontiguousarray(np.rot90(rgb, turns)) if turns else rgb
 
@@ -619,12 +624,11 @@ class _Encoder:
         stream = _video_stream(output, info, options)
         copied = copies(source, output, stack) if source else None
         to_planes = _ToPlanes(info.colors)
-        last, item = -1, first
+        timeline, item = Timeline(), first
         while item is not None:
             rgb, time = item
             frame = to_planes(rgb)
-            # No two frames at once, whatever the source says.
-            frame.pts = last = max(time, last + 1)
+            frame.pts = timeline.after(time)
             frame.time_base = stream.codec_context.time_base
             for packet in stream.encode(frame):
                 if copied:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import base64
 import json
+import os
+import re
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
@@ -155,10 +157,12 @@ def page(data: dict, video: str | Path, embed: bool = False) -> str:
         source = f"data:video/mp4;base64,{content}"
     # Nothing in a name may end the script.
     text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")
+    parts = {"VIDEO_SOURCE": _attribute(source), "REPORT_DATA": text}
     html = _TEMPLATE.read_text(encoding="utf-8")
-    return html.replace("VIDEO_SOURCE", _attribute(source)).replace("REPORT_DATA", text)
+    # All at once: a name may be called like a part.
+    return re.sub("|".join(parts), lambda match: parts[match[0]], html)
 
 
 def _attribute(text):
     """Text as the value of an attribute; what is no address is escaped as one."""
-    return text if text.startswith("data:") else escape(quote(text))
+    return text if text.startswith("data:") else escape(quote(os.fsencode(text)))
