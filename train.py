@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from joblib import parallel_config
+from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import accuracy_score, confusion_matrix
 from sklearn.model_selection import GridSearchCV, train_test_split
 from sklearn.pipeline import make_pipeline
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from vehicle_detection.parameters import FeatureParams
 
 DATA, SAMPLE = Path("data"), Path("output/sample")
+CLASSIFIERS = {kind.__name__: kind for kind in (LinearSVC, LogisticRegression, SVC)}
 
 
 def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
@@ -58,6 +60,11 @@ def parse_arguments(arguments: list | None = None) -> argparse.Namespace:
     parser.add_argument(
         "--C", type=float, default=0.001, help="regularisation of the SVM, default: %(default)s"
     )
+    parser.add_argument(
+        "--classifier", choices=CLASSIFIERS, default="LinearSVC",
+        help="what takes the scaled features, default: %(default)s; any other with a decision "
+        "function can be used from Python, see the README",
+    )  # fmt: skip
     parser.add_argument(
         "--search", action="store_true",
         help="pick kernel (linear, rbf), C (0.001, 0.01, 0.1) and gamma (0.1, 1) by "
@@ -146,10 +153,14 @@ def fit_searched(features: np.ndarray, labels: np.ndarray, jobs: int, folds: int
 
 
 def fit(features: np.ndarray, labels: np.ndarray, arguments: argparse.Namespace) -> tuple:
-    """Scaler and SVM as the command line asks for them."""
+    """Scaler and classifier as the command line asks for them."""
     if arguments.search:
         return fit_searched(features, labels, arguments.jobs)
-    return fit_linear(features, labels, arguments.C, arguments.seed)
+    if arguments.classifier == "LinearSVC":
+        return fit_linear(features, labels, arguments.C, arguments.seed)
+    scaler = StandardScaler()
+    classifier = CLASSIFIERS[arguments.classifier](C=arguments.C, random_state=arguments.seed)
+    return scaler, classifier.fit(scaler.fit_transform(features), labels)
 
 
 def train(
@@ -220,7 +231,10 @@ def main() -> None:
     train(load_training_set(folder), params, arguments)
     picture = arguments.out.with_suffix(".png")
     print(f"wrote {arguments.out} and {picture} after {time.perf_counter() - start:.0f} s")
-    print(f"try it: python detect.py --method {arguments.preset} --param {arguments.out}")
+    kind = CLASSIFIERS[arguments.classifier]
+    is_known = kind is not LogisticRegression
+    trust = "" if is_known else f" --trust {kind.__module__}.{kind.__name__}"
+    print(f"try it: python detect.py --method {arguments.preset} --param {arguments.out}{trust}")
 
 
 if __name__ == "__main__":

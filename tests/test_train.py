@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -321,3 +322,13 @@ def test_a_type_with_fields_is_refused(tmp_path):
         load_classifier(stored(path, format_version=Fields()))
     content = safe_pickle.loads(safe_pickle.dumps(np.arange(3, dtype=">i4")))
     np.testing.assert_array_equal(content, [0, 1, 2])
+
+
+@pytest.mark.parametrize("kind", ["LinearSVC", "LogisticRegression", "SVC"])
+def test_another_classifier_takes_the_svms_place(data, tmp_path, kind):
+    out = tmp_path / "svc.p"
+    result = run(data, "--out", out, "--classifier", kind, "--C", "0.1")
+    assert result.returncode == 0, result.stderr
+    trust = re.findall(r"--trust (\S+)", result.stdout)
+    assert type(load_classifier(out, trust).svm).__name__ == kind
+    assert out.with_suffix(".png").stat().st_size > 10_000
