@@ -318,7 +318,7 @@ class ScanParams:
     smallest: float = 26
     largest: float = 400
     reference_width: float = 1280
-    ratio: float = 1.3
+    ratio: float = 1.25
     cells_per_step: int = 2
     n_groups: int = 5
     threshold: float = -0.5
@@ -534,7 +534,7 @@ class TwoStageParams:
 VIDEO_PARAMS = TwoStageParams()
 # A still is scanned at all scales at once, and has no other frame to agree with.
 STILL_PARAMS = TwoStageParams(
-    scan=ScanParams(smallest=24, ratio=1.25, cells_per_step=1, n_groups=1, n_proposals=12),
+    scan=ScanParams(smallest=24, cells_per_step=1, n_groups=1, n_proposals=12),
     tracks=TrackParams(confirm_at=0.6),
 )
 
