@@ -20,6 +20,7 @@ from vehicle_detection.media.files import write_whole
 
 # The outputs of cells with this tag are left out: embedded videos.
 LEFT_OUT = "video"
+_WIDGET = "application/vnd.jupyter.widget-view+json"
 _JPEG_QUALITY = 80
 _WIDEST = 1400
 
@@ -32,11 +33,14 @@ def small_jpeg(png):
     return cv2.imencode(".jpg", img, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
 
 
-def without_progress(notebook):
-    """The notebook without what its cells wrote to the error stream: progress bars."""
+def without_what_moves(notebook):
+    """The notebook without progress bars, which are in the error stream, and without widgets."""
     for cell in notebook.cells:
         if "outputs" in cell:
-            cell.outputs = [one for one in cell.outputs if one.get("name") != "stderr"]
+            cell.outputs = [
+                one for one in cell.outputs
+                if one.get("name") != "stderr" and _WIDGET not in one.get("data", {})
+            ]  # fmt: skip
     return notebook
 
 
@@ -48,7 +52,7 @@ def convert(notebook, path):
     config.TagRemovePreprocessor.remove_cell_tags = ("injected-parameters",)
     folder = path.with_suffix("").name
     text, resources = MarkdownExporter(config=config).from_notebook_node(
-        without_progress(nbformat.read(notebook, as_version=4)),
+        without_what_moves(nbformat.read(notebook, as_version=4)),
         resources={"output_files_dir": f"{folder}_files"},
     )
     text = text.replace(f"{Path.cwd()}/", "")
