@@ -20,6 +20,7 @@ from vehicle_detection.compiled.threads import work_alone
 _SECONDS_BETWEEN_LOOKS = 0.5
 _SECONDS_TO_TIDY = 1.5
 _ATTEMPTS = 5
+_TIDYING = "ignore:resource_tracker"
 
 
 def in_parallel(function: Callable, items: list, jobs: int, title: str) -> Iterator:
@@ -35,6 +36,7 @@ def in_parallel(function: Callable, items: list, jobs: int, title: str) -> Itera
     title : str
         Of the progress bar.
     """
+    _stop_quietly()
     with parallel_config("loky", n_jobs=jobs, initializer=begin_worker):
         parallel = Parallel(return_as="generator")
     yield from tqdm(parallel(delayed(function)(item) for item in items), title, len(items))
@@ -59,6 +61,7 @@ def workers(scheduler: str | None, jobs: int, large: Sequence = ()) -> Iterator:
         Dask is not installed, or there is no such scheduler.
     """
     if scheduler is None:
+        _stop_quietly()
         with parallel_config("loky", n_jobs=jobs, initializer=begin_worker):
             yield
         return
@@ -98,6 +101,13 @@ def each_at_once(function: Callable, items: list) -> Iterator:
         except TerminatedWorkerError:
             continue
     raise RuntimeError(f"workers were killed {_ATTEMPTS} times: {len(missing)} left")
+
+
+def _stop_quietly():
+    """Joblib's process that tidies up behind a stopped program need not say that it does."""
+    others = os.environ.get("PYTHONWARNINGS", "")
+    if _TIDYING not in others:
+        os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [others, _TIDYING]))
 
 
 def begin_worker() -> None:
