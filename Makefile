@@ -40,7 +40,7 @@ output/svc_pickle.p: .venv/installed
 notebooks: output/svc_pickle.p
 	for name in $(NOTEBOOKS); do \
 		$(BIN)/papermill --no-progress-bar $$name.ipynb output/$$name.ipynb -p output output/$$name \
-			-y "overwrite: true" || exit 1; \
+			-y "{overwrite: true, widgets: false}" || exit 1; \
 	done
 	@echo 'Look at the notebooks and videos in output/.'
 
@@ -88,7 +88,7 @@ real: .venv/installed
 	@test -d data/vehicles || { echo 'error: no data/: make data first'; exit 1; }
 	$(BIN)/python train.py data --out output/real/svc_pickle.p
 	$(BIN)/papermill --no-progress-bar image_pipeline.ipynb output/real/image_pipeline.ipynb \
-		-p test_images data/test_images -p param output/real/svc_pickle.p
+		-p test_images data/test_images -p param output/real/svc_pickle.p -p widgets False
 	for name in video_pipeline two_stage; do \
 		$(BIN)/papermill --no-progress-bar $$name.ipynb output/real/$$name.ipynb \
 			-p output output/real/$$name -p param output/real/svc_pickle.p \

@@ -18,6 +18,12 @@ def test_sliders_draw_anew():
     assert seen[-1] == (3, "HLS") and [one.value for one in panel.children[:2]] == [3, "HLS"]
 
 
+def test_nobody_is_there():
+    seen = []
+    assert live(lambda scale, color: seen.append((scale, color)), VALUES, widgets=False) is None
+    assert seen == [(2, "HLS")]
+
+
 def test_without_widgets_there_is_one_figure(monkeypatch):
     found = builtins.__import__
 

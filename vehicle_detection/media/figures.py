@@ -93,7 +93,7 @@ def show_steps(rows: Sequence, titles: Sequence, width: float = 16) -> Figure:
     return figure
 
 
-def live(function: Callable, values: dict) -> Any:
+def live(function: Callable, values: dict, widgets: bool = True) -> Any:
     """Call a function that draws, and again whenever a slider or menu is moved.
 
     Parameters
@@ -102,14 +102,18 @@ def live(function: Callable, values: dict) -> Any:
         Draws a figure; takes the names of `values`.
     values : dict of str to sequence
         What each may be; the middle one is drawn first.
+    widgets : bool
+        Whether anybody is there to move them.
 
     Returns
     -------
     panel : ipywidgets.Widget or None
-        None where widgets are not installed: the first figure is then all there is.
+        None without widgets, or where they are not installed: the first figure is all there is.
     """
     first = {name: choices[len(choices) // 2] for name, choices in values.items()}
     function(**first)
+    if not widgets:
+        return None
     try:
         from ipywidgets import SelectionSlider, interactive
     except ImportError:
