@@ -22,10 +22,10 @@ from vehicle_detection.compiled import dense_windows
 from vehicle_detection.compiled.hog import hog_blocks
 from vehicle_detection.compiled.threads import side_by_side
 from vehicle_detection.media.drawing import draw_boxes
-from vehicle_detection.parameters import require_color
+from vehicle_detection.parameters import SEARCH_PRESETS, SearchParams, require_color
 
 if TYPE_CHECKING:
-    from vehicle_detection.parameters import FeatureParams, SearchParams
+    from vehicle_detection.parameters import FeatureParams
 
 _CONVERSIONS = {
     "YCrCb": cv2.COLOR_RGB2YCrCb,
@@ -619,3 +619,35 @@ def draw_labeled_bboxes(
     `labels` is as large as the image, see `labeled_boxes`.
     """
     return draw_boxes(img, labeled_boxes(labels), color, thickness)
+
+
+def try_search(
+    img: np.ndarray, classifier: Any, scale: float, threshold: float, color: str
+) -> tuple:
+    """What the choice of a scale, a threshold and a colour space does.
+
+    Parameters
+    ----------
+    img : ndarray of uint8, shape (rows, columns, 3)
+        RGB.
+    classifier : object
+        See `find_cars`.
+    scale : float
+        Of the windows, from where write-up G's bands begin down to the bottom.
+    threshold : float
+        Of the decision function.
+    color : str
+        A colour space, see `convert_color`.
+
+    Returns
+    -------
+    pictures : list of ndarray of uint8
+        Hot windows on the image, and the first channel of the colour space.
+    titles : list of str
+    """
+    (_, top, _), *_ = SEARCH_PRESETS["G"].bands
+    bottom = SEARCH_PRESETS["G"].reference_size[1]
+    windows, scores = find_cars(img, classifier, SearchParams(bands=((scale, top, bottom),)))
+    hot = draw_boxes(img, windows[scores > threshold], thickness=2)
+    titles = [f"scale {scale}, above {threshold}", f"{color}, first channel"]
+    return [hot, convert_color(img, color)[..., 0]], titles

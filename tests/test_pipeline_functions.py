@@ -29,6 +29,7 @@ from pipeline_functions import (
     keep_lasting_heat,
     labeled_boxes,
     slide_window,
+    try_search,
 )
 from vehicle_detection.parameters import (
     FEATURE_PRESETS,
@@ -476,3 +477,13 @@ def test_draw_labeled_bboxes_draws_every_label():
     expected = draw_boxes(img, [(3, 2, 9, 8), (20, 10, 28, 18)], (1, 2, 3), 1)
     np.testing.assert_array_equal(drawn, expected)
     assert drawn.any()
+
+
+def test_a_search_can_be_tried(classifier_g):
+    img = textured_image(3, 720, 1280)
+    (hot, channel), titles = try_search(img, classifier_g, 2, -7, "HLS")
+    np.testing.assert_array_equal(channel, convert_color(img, "HLS")[..., 0])
+    windows, scores = find_cars(img, classifier_g, SearchParams(bands=((2, 380, 720),)))
+    np.testing.assert_array_equal(hot, draw_boxes(img, windows[scores > -7], thickness=2))
+    assert 0 < (scores > -7).sum() < len(scores)
+    assert titles == ["scale 2, above -7", "HLS, first channel"]

@@ -2,6 +2,7 @@
 
 import builtins
 
+import numpy as np
 import pytest
 
 from vehicle_detection.media.figures import live
@@ -9,22 +10,34 @@ from vehicle_detection.media.figures import live
 VALUES = {"scale": [1, 2, 3], "color": ["RGB", "HLS"]}
 
 
-def test_sliders_draw_anew():
-    pytest.importorskip("ipywidgets")
+@pytest.fixture
+def drawn():
+    """What was chosen, each time that something was shown; and the function that is told."""
     seen = []
-    panel = live(lambda scale, color: seen.append((scale, color)), VALUES)
+
+    def function(scale, color):
+        seen.append((scale, color))
+        return [np.zeros((20, 40, 3), np.uint8)], [color]
+
+    return seen, function
+
+
+def test_sliders_draw_anew(drawn):
+    pytest.importorskip("ipywidgets")
+    seen, function = drawn
+    panel = live(function, VALUES)
     assert set(seen) == {(2, "HLS")}
     panel.children[0].value = 3
     assert seen[-1] == (3, "HLS") and [one.value for one in panel.children[:2]] == [3, "HLS"]
 
 
-def test_nobody_is_there():
-    seen = []
-    assert live(lambda scale, color: seen.append((scale, color)), VALUES, widgets=False) is None
+def test_nobody_is_there(drawn):
+    seen, function = drawn
+    assert live(function, VALUES, widgets=False) is None
     assert seen == [(2, "HLS")]
 
 
-def test_without_widgets_there_is_one_figure(monkeypatch):
+def test_without_widgets_there_is_one_figure(monkeypatch, drawn):
     found = builtins.__import__
 
     def without(name, *rest):
@@ -33,6 +46,6 @@ def test_without_widgets_there_is_one_figure(monkeypatch):
         return found(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    seen = []
-    assert live(lambda scale, color: seen.append((scale, color)), VALUES) is None
+    seen, function = drawn
+    assert live(function, VALUES) is None
     assert seen == [(2, "HLS")]

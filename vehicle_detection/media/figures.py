@@ -94,14 +94,14 @@ def show_steps(rows: Sequence, titles: Sequence, width: float = 16) -> Figure:
 
 
 def live(function: Callable, values: dict, widgets: bool = True) -> Any:
-    """Call a function that draws, and again whenever a slider or menu is moved.
+    """Show the pictures of a function, and again whenever a slider is moved.
 
     Parameters
     ----------
     function : callable
-        Draws a figure; takes the names of `values`.
+        Takes the names of `values`; returns pictures and their titles.
     values : dict of str to sequence
-        What each may be; the middle one is drawn first.
+        What each may be; the middle one is shown first.
     widgets : bool
         Whether anybody is there to move them.
 
@@ -110,8 +110,14 @@ def live(function: Callable, values: dict, widgets: bool = True) -> Any:
     panel : ipywidgets.Widget or None
         None without widgets, or where they are not installed: the first figure is all there is.
     """
+
+    def draw(**chosen):
+        """Show what the function makes of some values."""
+        pictures, titles = function(**chosen)
+        show([crop_to_road(picture) for picture in pictures], titles)
+
     first = {name: choices[len(choices) // 2] for name, choices in values.items()}
-    function(**first)
+    draw(**first)
     if not widgets:
         return None
     try:
@@ -122,7 +128,7 @@ def live(function: Callable, values: dict, widgets: bool = True) -> Any:
         name: SelectionSlider(options=choices, value=first[name], continuous_update=False)
         for name, choices in values.items()
     }
-    return interactive(function, **sliders)
+    return interactive(draw, **sliders)
 
 
 def show_histograms(histograms: Sequence, titles: Sequence, channel_names: Sequence) -> Figure:

@@ -40,6 +40,8 @@ _MUXERS = {".mp4": "mp4", ".m4v": "mp4", ".mov": "mov", ".mkv": "matroska", ".av
 # What plays before it is loaded, and what can be played while it is written.
 _WHOLE = {"movflags": "faststart"}
 _LIVE = {"movflags": "frag_keyframe+empty_moov", "flush_packets": "1"}
+# Of libx264, its own default: lower is larger and better.
+_QUALITY = "23"
 _QUEUE_LENGTH = 8
 # Headers are often off by a frame or two.
 _INEXACT_HEADER = 2
@@ -537,7 +539,7 @@ def encoding(
         encoder.put(frame, n_written if time is None else time)
         n_written += 1
 
-    encoder = _Encoder(file, path, info, preset, source, is_live)
+    encoder = _Encoder(file, _Target(path, info, preset, source, is_live))
     try:
         yield write
     finally:
@@ -547,35 +549,47 @@ def encoding(
     encoder.require_success()
 
 
+@dataclass(frozen=True)
+class _Target:
+    """What is written, as `encoding` is told."""
+
+    path: Path
+    info: VideoInfo
+    preset: str
+    source: Any
+    is_live: bool
+
+    @property
+    def container(self):
+        """Muxer and its options, as FFmpeg names them."""
+        muxer = _MUXERS[self.path.suffix.lower()]
+        if self.is_live:
+            return muxer, _LIVE
+        return muxer, _WHOLE if muxer in ("mp4", "mov") else {}
+
+    @property
+    def codec_options(self):
+        """Of libx264."""
+        options = {"preset": self.preset, "crf": _QUALITY}
+        # When it is live, a fragment ends where a key frame comes: every second.
+        return options | ({"g": str(round(self.info.fps))} if self.is_live else {})
+
+
 class _Encoder:
     """A thread that encodes frames into a file, and copies sound beside them.
 
     Parameters
     ----------
     file : binary file
-    path : Path
-        The name it will have.
-    info, preset, source
-        As `video_writer`.
-    is_live : bool
-        As `encoding`.
+    target : _Target
     """
 
-    def __init__(
-        self, file: Any, path: Path, info: VideoInfo, preset: str, source: Any, is_live: bool
-    ):
-        self._path = path
+    def __init__(self, file: Any, target: _Target):
+        self._file, self._target = file, target
         self._failure: Exception | None = None
         self._has_ended = False
         self._frames: queue.Queue = queue.Queue(_QUEUE_LENGTH)
-        muxer = _MUXERS[path.suffix.lower()]
-        options = _LIVE if is_live else _WHOLE if muxer in ("mp4", "mov") else {}
-        encoding = {"preset": preset, "crf": "23"}
-        if is_live:
-            # A fragment ends where a key frame comes: every second.
-            encoding["g"] = str(round(info.fps))
-        work = partial(self._work, file, (muxer, options), info, encoding, source)
-        self._thread = threading.Thread(target=work, daemon=True)
+        self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
     def put(self, frame: np.ndarray, time: int) -> None:
@@ -591,12 +605,12 @@ class _Encoder:
     def require_success(self) -> None:
         """Raise OSError if the encoder has failed."""
         if self._failure is not None:
-            raise OSError(f"{self._path}: cannot be encoded: {self._failure}")
+            raise OSError(f"{self._target.path}: cannot be encoded: {self._failure}")
 
-    def _work(self, file, muxer, info, options, source):
+    def _work(self):
         try:
             with contextlib.ExitStack() as stack:
-                self._encode(file, muxer, info, options, source, stack)
+                self._encode(stack)
         except Exception as error:
             # Behind what FFmpeg says lies what the file system said.
             is_callback = isinstance(error, av.error.PyAVCallbackError)
@@ -611,33 +625,38 @@ class _Encoder:
         self._has_ended = item is None
         return item
 
-    def _encode(self, file, muxer, info, options, source, stack):
+    def _encode(self, stack):
+        """Write what is handed over, and each time the sound that belongs before it."""
         first = self._next()
         if first is None:
             return
+        info, source = self._target.info, self._target.source
         # The second pass of faststart reads what the first has written.
-        reopen = partial(_reopen, file.name)
+        reopen = partial(_reopen, self._file.name)
         output = stack.enter_context(
-            av.open(file, "w", *muxer, buffer_size=_IO_BYTES, io_open=reopen)
+            av.open(self._file, "w", *self._target.container, buffer_size=_IO_BYTES, io_open=reopen)
         )
         output.metadata.update(info.metadata)
-        stream = _video_stream(output, info, options)
+        stream = _video_stream(output, info, self._target.codec_options)
         copied = copies(source, output, stack) if source else None
-        to_planes = _ToPlanes(info.colors)
-        timeline, item = Timeline(), first
-        while item is not None:
-            rgb, time = item
-            frame = to_planes(rgb)
-            frame.pts = timeline.after(time)
-            frame.time_base = stream.codec_context.time_base
+        for frame in self._planes(first, stream.codec_context.time_base):
             for packet in stream.encode(frame):
                 if copied:
                     output.mux(copied.until(packet.dts * packet.time_base))
                 output.mux(packet)
-            item = self._next()
         output.mux(stream.encode(None))
         if copied:
             output.mux(copied.until(None))
+
+    def _planes(self, item, time_base):
+        """Yield frames as the codec takes them, with rising times."""
+        to_planes, timeline = _ToPlanes(self._target.info.colors), Timeline()
+        while item is not None:
+            rgb, time = item
+            frame = to_planes(rgb)
+            frame.pts, frame.time_base = timeline.after(time), time_base
+            yield frame
+            item = self._next()
 
 
 def _reopen(name, url, flags, options):
