@@ -268,6 +268,7 @@ def annotate(source: Source, arguments: argparse.Namespace, vehicle: Any = None)
         What went wrong, and which frames could not be decoded; empty if nothing.
     """
     from vehicle_detection.media.annotate import annotate_image, annotate_video
+    from vehicle_detection.report.page import report_data
 
     try:
         vehicle = vehicle or open_vehicle(arguments, is_still=not source.is_video)
@@ -279,35 +280,27 @@ def annotate(source: Source, arguments: argparse.Namespace, vehicle: Any = None)
         options = split_screen, arguments.preset, arguments.quiet
         found = annotate_video(source, vehicle, *options)
         if arguments.report:
-            write_report(source, (found, truth), vehicle, arguments)
+            told = vehicle.titles, parameters_of(vehicle, arguments)
+            write_report(source, report_data(source.path.name, found, *told, truth), arguments)
         return source, "", found.losses
     except (OSError, ValueError) as error:
         return source, str(error), ""
 
 
-def write_report(
-    source: Source, found_and_truth: tuple, vehicle: Any, arguments: argparse.Namespace
-) -> None:
-    """Write the page of a video beside its split screen, or with that inside.
-
-    Parameters
-    ----------
-    source : Source
-    found_and_truth : (Found, Rows or None)
-    vehicle : TwoStageVehicle or Vehicle
-    arguments : argparse.Namespace
-    """
+def parameters_of(vehicle: Any, arguments: argparse.Namespace) -> str:
+    """All parameters of a detector, as text for its report."""
     from pprint import pformat
 
-    from vehicle_detection.media.files import write_whole
-    from vehicle_detection.report.page import page, report_data
+    return pformat({"method": arguments.method, **vehicle.settings()}, width=100)
 
-    parameters = pformat({"method": arguments.method, **vehicle.settings()}, width=100)
-    found, truth = found_and_truth
-    data = report_data(source.path.name, found, vehicle.titles, parameters, truth)
-    video = source.split_screen
-    html = page(data, video if arguments.embed else video.name, arguments.embed)
-    write_whole(source.report, html)
+
+def write_report(source: Source, data: dict, arguments: argparse.Namespace) -> None:
+    """Write the page of a video beside its split screen, or with that inside."""
+    from vehicle_detection.media.files import write_whole
+    from vehicle_detection.report.page import page
+
+    video = source.split_screen if arguments.embed else source.split_screen.name
+    write_whole(source.report, page(data, video, arguments.embed))
 
 
 def read_truth(arguments: argparse.Namespace, source: Source) -> Rows:

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conftest import CASES, moving_frames, textured_image, write_video
-from vehicle_detection.media.sound import Timeline
+from vehicle_detection.media.timeline import Timeline
 from vehicle_detection.media.videos import (
     VideoInfo,
     VideoReader,

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Iterator
-from contextlib import ExitStack
 from fractions import Fraction
 from typing import Any
 
 import av
+
+from vehicle_detection.media.timeline import Timeline
 
 # What players read in an mp4 file; other sound is encoded anew.
 _COPIED_SOUND = {"aac", "mp3", "ac3", "eac3", "alac", "opus", "flac", "mp2"}
@@ -17,23 +17,6 @@ _COPIED_SOUND = {"aac", "mp3", "ac3", "eac3", "alac", "opus", "flac", "mp2"}
 _AAC_SAMPLES = 1024
 _AAC_RATES = (8000, 11025, 12000, 16000, 22050, 24000, 32000, 44100, 48000, 88200, 96000)
 _COPIED_TEXT = {"mov_text"}
-
-
-class Timeline:
-    """Times that only rise: where a source goes back, as joined recordings do, it goes on."""
-
-    def __init__(self):
-        self._last: int | None = None
-        self._step, self._shift = 1, 0
-
-    def after(self, time: int) -> int:
-        """The time, or one step after the last where that is not before it."""
-        if self._last is not None:
-            if time + self._shift <= self._last:
-                self._shift = self._last + self._step - time
-            self._step = time + self._shift - self._last
-        self._last = time + self._shift
-        return self._last
 
 
 class Copies:
@@ -58,19 +41,16 @@ class Copies:
         return found
 
 
-def copies(source: str | os.PathLike, output: Any, stack: ExitStack) -> Copies | None:
+def copies(container: Any, output: Any) -> Copies | None:
     """What of a video can be copied beside the picture, None for nothing.
 
     Parameters
     ----------
-    source : path
+    container : av.container.InputContainer
+        Open as long as packets are taken.
     output : av.container.OutputContainer
         Gets a stream for each that is copied.
-    stack : ExitStack
-        Closes the source.
     """
-    file = stack.enter_context(open(source, "rb"))  # noqa: SIM115, the stack closes it
-    container: Any = stack.enter_context(av.open(file, metadata_errors="replace"))
     writers = {}
     for stream in container.streams:
         writer = _writer(stream, output)

@@ -27,7 +27,8 @@ from av.filter import Graph
 from av.video.reformatter import VideoReformatter
 
 from vehicle_detection.media.files import written_whole
-from vehicle_detection.media.sound import Timeline, copies
+from vehicle_detection.media.sound import copies
+from vehicle_detection.media.timeline import Timeline
 
 # Containers of cameras. Playlists and scripts, which make FFmpeg open other files, are none.
 _CONTAINERS = "mov,matroska,webm,avi,mpegts,mpeg,asf,flv,gif,ogg,dv,mxf"
@@ -638,7 +639,10 @@ class _Encoder:
         )
         output.metadata.update(info.metadata)
         stream = _video_stream(output, info, self._target.codec_options)
-        copied = copies(source, output, stack) if source else None
+        copied = None
+        if source:
+            beside = stack.enter_context(open(source, "rb"))  # noqa: SIM115, the stack closes it
+            copied = copies(stack.enter_context(_container(beside)), output)
         for frame in self._planes(first, stream.codec_context.time_base):
             for packet in stream.encode(frame):
                 if copied:
