@@ -55,9 +55,6 @@ STILLS = {
 }  # fmt: skip
 
 
-NEVER = float("inf")
-
-
 def selection(**changes):
     """All rules but some of the selection."""
     return TwoStageParams(selection=replace(DEFAULT_SELECTION, **changes))
@@ -72,8 +69,8 @@ VARIANTS = {
     "none": VIDEO_PARAMS,
     "no road (cost 0)": TwoStageParams(road=replace(DEFAULT_ROAD, cost=0)),
     "parts of better boxes stay (max_covered 1)": selection(max_covered=1),
-    "no bonus for predicted boxes (track_bonus 0)": selection(track_bonus=0),
-    "no offset of scores (score_offset 0)": tracks(score_offset=0),
+    "lorries tell the road too (whole_car_aspect 0)": selection(whole_car_aspect=0),
+    "less offset of scores (score_offset 0.1)": tracks(score_offset=0.1),
     "confirmed at once (confirm_at 0)": tracks(confirm_at=0),
 }
 

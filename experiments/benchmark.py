@@ -60,9 +60,8 @@ from vehicle_detection.parameters import (
     SearchParams,
 )
 from vehicle_detection.two_stage.proposals import level_groups, propose
-from vehicle_detection.two_stage.refinement import merge, refine
+from vehicle_detection.two_stage.refinement import refine
 from vehicle_detection.two_stage.road import prior_road, reach
-from vehicle_detection.two_stage.selection import non_max_suppression
 from vehicle_detection.two_stage.vehicle import TwoStageVehicle
 
 FRAME_SIZES = ((640, 360), (1280, 720), (1920, 1080))
@@ -144,13 +143,9 @@ def stages_of_two(frames, paths):
     scan, learned, params = vehicle.params.scan, vehicle.detector, vehicle.params.road
     where = reach(prior_road(len(frame), params), len(frame), params)
     groups = cycle(level_groups(frame.shape[:2], scan, where))
-    proposed = merge(np.empty((0, 4)), detections.proposals, vehicle.params.selection.same_iou)
-    boxes, scores = detections.candidates, detections.candidate_scores
-    discard_below = vehicle.params.selection.discard_below
     calls = {
         "first stage": lambda: propose(frame, next(groups), learned.templates, scan),
-        "refinement": lambda: refine(frame, proposed, learned, discard_below),
-        "suppression": lambda: non_max_suppression(boxes, scores, vehicle.params.selection),
+        "refinement": lambda: refine(frame, detections.proposals, learned),
     }
     return {name: milliseconds(call, 40) for name, call in calls.items()}
 

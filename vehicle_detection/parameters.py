@@ -321,7 +321,7 @@ class ScanParams:
     ratio: float = 1.25
     cells_per_step: int = 2
     n_groups: int = 5
-    threshold: float = -0.5
+    threshold: float = 0.0
     n_proposals: int = 16
     overlap: float = 0.5
 
@@ -345,23 +345,9 @@ class SelectionParams:
 
     Attributes
     ----------
-    same_iou : float
-        A proposal whose IoU with a predicted box is this or more is not refined again.
-    discard_below : float
-        A candidate whose decision function is lower where it was proposed is not moved.
     max_iou, max_covered : float
         Two boxes are in conflict if their IoU, or the covered share of the smaller one, is
         above these. Vehicles that are both seen overlap less.
-    track_bonus : float
-        Added to the score of a predicted box where it is in conflict with a proposed one.
-    score_step : float
-        Scores that differ by less are equal.
-    min_visible : float
-        Share of a box that must lie within the frame.
-    size_range : (float, float)
-        Least and largest height of a box, in smallest and largest windows of the scan.
-    aspect_range : (float, float)
-        Least and largest width by height: a lorry from behind, a bus from the side.
     at_border : float
         A box touches the border of the frame if it ends within this share of its size.
     whole_car_aspect : float
@@ -369,15 +355,8 @@ class SelectionParams:
         vans are narrower, and would be taken for nearer cars.
     """
 
-    same_iou: float = 0.6
-    discard_below: float = -1.0
     max_iou: float = 0.45
     max_covered: float = 0.7
-    track_bonus: float = 0.5
-    score_step: float = 1e-3
-    min_visible: float = 0.6
-    size_range: tuple = (1 / 1.5, 1.25)
-    aspect_range: tuple = (0.5, 3.5)
     at_border: float = 0.02
     whole_car_aspect: float = 1.1
 
@@ -400,15 +379,10 @@ class RoadParams:
         Standard deviation of a car's height, as a share of its height.
     lorry_to_car : float
         Height of the highest lorry, some four metres, by that of a car.
-    most_witnesses : float
-        Cars that count for independent, together: many boxes are of the same car.
-    witness_from : float
-        Score from which a box of the frame counts as a car, fully so from one more on.
     most_cars : int
         Boxes that are remembered.
-    n_std, step : float
-        The scan covers so many standard deviations around what is expected, in such steps (of
-        the frame's height, of `camera_to_car`).
+    n_std : float
+        The scan covers so many standard deviations around what is expected.
     cost : float
         Score that a box loses, times half the square of its `road.misplacement`: the negative
         logarithm of a Gaussian.
@@ -418,18 +392,15 @@ class RoadParams:
     camera_to_car: tuple = (0.95, 0.2)
     spread: float = 0.2
     lorry_to_car: float = 3
-    most_witnesses: float = 20
-    witness_from: float = 0.5
-    most_cars: int = 500
+    most_cars: int = 100
     n_std: float = 2
-    step: float = 0.02
     cost: float = 0.5
 
     def __post_init__(self):
         if min(*self.horizon, *self.camera_to_car) <= 0:
             raise ValueError("means and standard deviations of the road are above 0")
-        if min(self.spread, self.most_witnesses, self.most_cars, self.n_std, self.step) <= 0:
-            raise ValueError("spread, most_witnesses, most_cars, n_std and step are above 0")
+        if min(self.spread, self.most_cars, self.n_std) <= 0:
+            raise ValueError("spread, most_cars and n_std are above 0")
         if self.lorry_to_car < 1 or self.cost < 0:
             raise ValueError("lorry_to_car starts at 1, cost at 0")
 
@@ -473,42 +444,36 @@ class TrackParams:
     ----------
     min_iou : float
         Least IoU of a box with the prediction of its track, between 0 and 1.
-    measurement_noise, process_noise : float
-        Standard deviations, in heights of the vehicle: of the edges of a box whose score is 1
-        or more, and of the change of their velocity from frame to frame.
+    process_noise : float
+        Standard deviation of the change of an edge's velocity from frame to frame, by that of
+        where the edge is seen.
     confirm_at : float
         Accumulated score that makes a track a vehicle.
     max_score : float
         No track accumulates more, so that what has gone is soon dropped.
     score_offset : float
-        Subtracted from every score: what was taken for a vehicle and is none goes on scoring
-        little more than 0.
-    miss_penalty : float
-        Subtracted in a frame without a box.
+        Subtracted from every score, and from 0 in a frame without a box: what was taken for a
+        vehicle and is none goes on scoring little more than 0.
     """
 
     min_iou: float = 0.2
-    measurement_noise: float = 0.1
-    process_noise: float = 0.01
+    process_noise: float = 0.1
     confirm_at: float = 0.0
     max_score: float = 1.0
-    score_offset: float = 0.0
-    miss_penalty: float = 1.0
+    score_offset: float = 0.5
 
     def __post_init__(self):
         if not 0 < self.min_iou < 1:
             raise ValueError(f"min_iou lies between 0 and 1, not at {self.min_iou}")
-        if min(self.measurement_noise, self.process_noise) <= 0:
-            raise ValueError("noise is above 0")
+        if min(self.process_noise, self.score_offset) <= 0:
+            raise ValueError("process_noise and score_offset are above 0")
         if not 0 <= self.confirm_at <= self.max_score:
             raise ValueError(f"confirm_at {self.confirm_at} lies outside 0..{self.max_score}")
-        if self.miss_penalty <= 0 or self.score_offset < 0:
-            raise ValueError("miss_penalty is above 0, and score_offset starts at 0")
 
 
 # Boxes from heat have lasted already: one is enough, and is remembered for two seconds.
-HEAT_TRACKS = TrackParams(max_score=50.0)
-DEFAULT_TRACKS = TrackParams(confirm_at=2.0, max_score=8.0, score_offset=0.5, miss_penalty=0.9)
+HEAT_TRACKS = TrackParams(max_score=25.0)
+DEFAULT_TRACKS = TrackParams(confirm_at=2.0, max_score=8.0)
 
 
 @dataclass(frozen=True)
@@ -645,8 +610,6 @@ class TrainingParams:
         Median score of the vehicles that were learned from.
     most_patches : int
         That the scorer is fitted to, at random among all: each takes 64 kB of memory.
-    sure_score : float
-        A patch that is scored right by more than this teaches nothing new.
     n_principal, n_gradients : int
         Principal components, and patches, among which the regressor's components are found.
     """
@@ -666,7 +629,6 @@ class TrainingParams:
     regressor_size: tuple = (64, 3000)
     vehicle_score: float = 1.5
     most_patches: int = 100_000
-    sure_score: float = 0.5
     n_principal: int = 600
     n_gradients: int = 12_000
 

@@ -17,13 +17,12 @@ from vehicle_detection.two_stage.model import (
     load_detector,
     save_detector,
 )
-from vehicle_detection.two_stage.refinement import merge, move_edges, refine
+from vehicle_detection.two_stage.refinement import move_edges, refine
 
 
 def refined(img, boxes, detector):
     """Boxes and scores of `refine`."""
-    none = np.empty((0, 4))
-    candidates = refine(img, merge(none, boxes, 0.6), detector, discard_below=-1.0)
+    candidates = refine(img, boxes, detector)
     return candidates.boxes, candidates.scores
 
 

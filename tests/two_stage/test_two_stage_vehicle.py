@@ -21,7 +21,7 @@ from vehicle_detection.two_stage.model import save_detector
 from vehicle_detection.two_stage.refinement import Candidates
 from vehicle_detection.two_stage.vehicle import TwoStageVehicle
 
-EAGER = TrackParams(confirm_at=0.2, max_score=2.0, miss_penalty=0.7)
+EAGER = TrackParams(confirm_at=0.2, max_score=2.0)
 
 
 @pytest.fixture
@@ -65,8 +65,8 @@ def scripted(monkeypatch):
             scores = [score for _, score in rows]
 
             def refine(_, candidates, *__, boxes=boxes, scores=scores):
-                looked_at.append(candidates.boxes)
-                return Candidates(boxes, np.array(scores), np.zeros(len(boxes), bool))
+                looked_at.append(candidates)
+                return Candidates(boxes, np.array(scores))
 
             monkeypatch.setattr(f"{MODULE}.propose", lambda *_, boxes=boxes: (boxes, None))
             monkeypatch.setattr(f"{MODULE}.refine", refine)
@@ -90,11 +90,12 @@ def test_a_vehicle_without_a_box_is_looked_for_where_it_is_expected(scripted):
 
 def test_a_vehicle_that_is_gone_is_dropped_once_its_score_is_used_up(scripted):
     _, looked_at = scripted([[(NEAR, 1.5)]] * 5 + [[]] * 12)
-    # Five times the score less the offset is used up at so much a frame.
+    # Five times the score less the offset is used up at the offset a frame.
     gathered = 5 * (1.5 - DEFAULT_TRACKS.score_offset)
     assert gathered < DEFAULT_TRACKS.max_score
-    n_frames = 1 + int(gathered / DEFAULT_TRACKS.miss_penalty)
-    expected = [1] * (5 + n_frames - 1) + [0] * (12 - n_frames)
+    n_frames = int(gathered / DEFAULT_TRACKS.score_offset)
+    # What is proposed is looked at beside what is predicted.
+    expected = [2] * 4 + [1] * n_frames + [0] * (12 - n_frames)
     assert [len(boxes) for boxes in looked_at[1:]] == expected
 
 

@@ -1,8 +1,7 @@
 """The tracker: which box of this frame is which vehicle of the frames before.
 
-Every track has a Kalman filter of constant velocity, whose measurement noise grows as the
-score of its box falls. Scores accumulate: a track is confirmed as a vehicle once their sum is
-high enough, and is lost when it is used up.
+Every track has a Kalman filter of constant velocity. Scores accumulate: a track is confirmed as
+a vehicle once their sum is high enough, and is lost when it is used up.
 """
 
 from __future__ import annotations
@@ -28,8 +27,6 @@ class Track:
         From 1, given once the track is confirmed as a vehicle; 0 until then.
     score : float
         Accumulated score, at most `TrackParams.max_score`; a track without any is lost.
-    n_missed : int
-        Frames since its last box.
     box : ndarray of float, shape (4,)
         Where it is, or is expected in this frame.
     """
@@ -37,11 +34,10 @@ class Track:
     def __init__(self, box: np.ndarray, score: float, params: Any):
         self.identity = 0
         self.score = 0.0
-        self.n_missed = 0
         self.box = np.asarray(box, float)
         self._params = params
-        self._filter, self._measurement_noise = _kalman_filter(self.box, params)
-        self._accumulate(score - params.score_offset)
+        self._filter = _kalman_filter(self.box, params)
+        self._accumulate(score)
 
     @property
     def is_confirmed(self) -> bool:
@@ -50,39 +46,35 @@ class Track:
 
     def predict(self) -> None:
         """One frame on: `box` is where the vehicle is expected."""
-        self.n_missed += 1
         self.box = self._filter.predict()[:4, 0].copy()
 
     def correct(self, box: np.ndarray, score: float) -> None:
-        """Take in the box of this frame; one without a positive score moves nothing."""
-        self.n_missed = 0
-        if score > 0:
-            noise = np.exp(max(0.0, 1 - score)) * self._measurement_noise
-            self._filter.measurementNoiseCov = noise
-            self.box = self._filter.correct(np.asarray(box, float)[:, None])[:4, 0].copy()
-        self._accumulate(score - self._params.score_offset)
+        """Take in the box of this frame."""
+        self.box = self._filter.correct(np.asarray(box, float)[:, None])[:4, 0].copy()
+        self._accumulate(score)
 
     def miss(self) -> None:
         """There is no box in this frame."""
-        self._accumulate(-self._params.miss_penalty)
+        self._accumulate(0)
 
     def _accumulate(self, score):
-        self.score = min(self.score + score, self._params.max_score)
+        self.score = min(self.score + score - self._params.score_offset, self._params.max_score)
 
 
 def _kalman_filter(box, params):
-    """Filter of four edges and their velocities in pixels a frame; its measurement noise."""
-    height = box[3] - box[1]
-    noise = (params.measurement_noise * height) ** 2 * np.eye(4)
+    """Filter of four edges and their velocities in pixels a frame.
+
+    The noise of where an edge is seen is the unit: only the ratio to the process noise counts.
+    """
     kalman = cv2.KalmanFilter(8, 4, 0, cv2.CV_64F)
     kalman.transitionMatrix = np.eye(8) + np.eye(8, k=4)
     kalman.measurementMatrix = np.eye(4, 8)
-    drift = (params.process_noise * height) ** 2
+    kalman.measurementNoiseCov = np.eye(4)
     # White noise on the velocity over one frame moves the edge by half as much.
-    kalman.processNoiseCov = drift * np.kron([[0.25, 0.5], [0.5, 1.0]], np.eye(4))
-    kalman.errorCovPost = np.kron(np.diag([1.0, 0.1]), noise)
+    kalman.processNoiseCov = params.process_noise**2 * np.kron([[0.25, 0.5], [0.5, 1.0]], np.eye(4))
+    kalman.errorCovPost = np.kron(np.diag([1.0, 0.1]), np.eye(4))
     kalman.statePost = np.concatenate([box, np.zeros(4)])[:, None].astype(float)
-    return kalman, noise
+    return kalman
 
 
 class Tracker:
@@ -104,11 +96,11 @@ class Tracker:
         Returns
         -------
         boxes : ndarray of float, shape (n, 4)
-            Where vehicles, and tracks that had a box in the frame before, are expected.
+            Where they are expected.
         """
         for track in self._tracks:
             track.predict()
-        return stack_boxes([t.box for t in self._tracks if t.identity or t.n_missed == 1])
+        return stack_boxes([track.box for track in self._tracks])
 
     def update(self, boxes: np.ndarray, scores: np.ndarray) -> list:
         """Give the boxes of this frame to the tracks.
@@ -126,15 +118,14 @@ class Tracker:
             and starts none, because its score is not positive.
         """
         owners = self._assign(boxes)
+        for track in set(self._tracks).difference(owners):
+            track.miss()
         for i, (box, score) in enumerate(zip(boxes, scores, strict=True)):
             if owners[i] is not None:
                 owners[i].correct(box, score)
             elif score > 0:
                 owners[i] = Track(box, float(score), self.params)
                 self._tracks.append(owners[i])
-        for track in self._tracks:
-            if track.n_missed:
-                track.miss()
         self._tracks = [track for track in self._tracks if track.score > 0]
         for track in self._tracks:
             if not track.identity and track.score >= self.params.confirm_at:

@@ -63,18 +63,22 @@ class KernelMachine:
     def predict(self, features: np.ndarray) -> np.ndarray:
         """Outputs for features of float32, shape (n, n_features), shape (n, n_outputs)."""
         components = features @ self.projection.T + self.offset
-        distances = _squared_lengths(components)[:, None] + self._squared_centers
-        distances -= 2 * (components @ self.centers.T)
-        return np.exp(np.float32(-self.gamma) * distances) @ self.weights.T + self.bias
+        exponents = _with_squares(components, of_centers=False) @ self._extended_centers
+        return np.exp(exponents, out=exponents) @ self.weights.T + self.bias
 
     @cached_property
-    def _squared_centers(self):
-        return _squared_lengths(self.centers)
+    def _extended_centers(self):
+        return np.float32(-self.gamma) * _with_squares(self.centers, of_centers=True).T
 
 
-def _squared_lengths(rows):
-    """Squared length of every row, shape (n,)."""
-    return np.einsum("ij,ij->i", rows, rows)
+def _with_squares(rows, of_centers):
+    """Rows that multiply those of the other kind to squared distances, shape (n, columns + 2).
+
+    |x - c|^2 = -2 x c + |x|^2 + |c|^2: one product instead of three passes.
+    """
+    squares = np.einsum("ij,ij->i", rows, rows)[:, None]
+    ones = np.ones_like(squares)
+    return np.hstack([-2 * rows, ones, squares] if of_centers else [rows, squares, ones])
 
 
 @dataclass(frozen=True)

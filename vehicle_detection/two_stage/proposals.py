@@ -9,7 +9,6 @@ mean colour. Windows are 8 cells high and of four widths.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -50,7 +49,6 @@ class Level:
     columns: int
 
 
-@lru_cache(maxsize=16)
 def level_groups(frame_shape: tuple, scan: ScanParams, reach: Reach) -> list:
     """The levels of a frame, in groups of about equal size.
 

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from vehicle_detection.tracking.boxes import best_iou
 from vehicle_detection.two_stage.features import (
-    chroma_features,
     cut_patches,
+    describe_for_regressor,
     describe_for_scorer,
     luma_and_chroma,
     margins_outside,
     on_whole_pixels,
-    patch_features,
-    regressor_features,
-    scorer_features,
 )
 
 if TYPE_CHECKING:
@@ -37,51 +33,25 @@ class Candidates:
     boxes : ndarray of float, shape (n, 4)
     scores : ndarray of float, shape (n,)
         Decision function of the second stage, positive for vehicles.
-    is_tracked : ndarray of bool, shape (n,)
-        The box was predicted by a track; the others were proposed by the first stage.
     """
 
     boxes: np.ndarray
     scores: np.ndarray
-    is_tracked: np.ndarray
 
     def only(self, chosen: np.ndarray) -> Candidates:
         """The candidates that a mask or index array picks."""
-        return Candidates(*(getattr(self, field.name)[chosen] for field in fields(self)))
+        return Candidates(self.boxes[chosen], self.scores[chosen])
 
 
-def merge(predicted: np.ndarray, proposals: np.ndarray, same_iou: float) -> Candidates:
-    """Predictions of tracks, and the proposals that overlap none of them too much.
-
-    Parameters
-    ----------
-    predicted, proposals : ndarray of float, shapes (n, 4) and (m, 4)
-    same_iou : float
-        A proposal whose IoU with a prediction is this or more shows the same vehicle.
-
-    Returns
-    -------
-    candidates : Candidates
-        Their scores are 0.
-    """
-    fresh = proposals[best_iou(proposals, predicted) < same_iou]
-    boxes = np.concatenate([predicted, fresh])
-    return Candidates(boxes, np.zeros(len(boxes)), np.arange(len(boxes)) < len(predicted))
-
-
-def refine(
-    frame: np.ndarray, candidates: Candidates, detector: Detector, discard_below: float
-) -> Candidates:
-    """Move the edges of candidates to where they belong, and score them there.
+def refine(frame: np.ndarray, boxes: np.ndarray, detector: Detector) -> Candidates:
+    """Move the edges of boxes to where they belong, and score them there.
 
     Parameters
     ----------
     frame : ndarray of uint8, shape (rows, columns, 3)
         RGB.
-    candidates : Candidates
+    boxes : ndarray of float, shape (n, 4)
     detector : Detector
-    discard_below : float
-        A candidate that scores less where it was proposed stays there, with its score.
 
     Returns
     -------
@@ -89,22 +59,16 @@ def refine(
     """
     # For products this small, waking BLAS's threads takes longer than the product.
     with _LIBRARIES.limit(limits=1, user_api="blas"):
-        boxes, scores = _move_and_score(frame, candidates.boxes, detector, discard_below)
-    return Candidates(boxes, scores, candidates.is_tracked)
+        moved = move_boxes(frame, boxes, detector.regressor)
+        return Candidates(moved, score_boxes(frame, moved, detector.scorer))
 
 
-def _move_and_score(frame, boxes, detector, discard_below):
+def move_boxes(frame: np.ndarray, boxes: np.ndarray, regressor: Any) -> np.ndarray:
+    """Boxes where the regressor sees the edges of vehicles, shape (n, 4), on whole pixels."""
     boxes = on_whole_pixels(boxes)
-    outside = margins_outside(boxes, frame.shape)
     planes = luma_and_chroma(cut_patches(frame, boxes))
-    cells, contrast = patch_features(planes)
-    scores = detector.scorer.predict(scorer_features(cells, outside))[:, 0]
-    near = scores > discard_below
-    chroma = chroma_features(planes[:, near], contrast[near])
-    shifts = detector.regressor.predict(regressor_features(cells[near], chroma, outside[near]))
-    boxes[near] = on_whole_pixels(move_edges(boxes[near], shifts))
-    scores[near] = score_boxes(frame, boxes[near], detector.scorer)
-    return boxes, scores
+    features = describe_for_regressor(planes, margins_outside(boxes, frame.shape))
+    return on_whole_pixels(move_edges(boxes, regressor.predict(features)))
 
 
 def score_boxes(frame: np.ndarray, boxes: np.ndarray, scorer: Any) -> np.ndarray:

@@ -76,17 +76,12 @@ def reach(road: Road, n_rows: int, params: RoadParams) -> Reach:
     Returns
     -------
     reach : Reach
-        In steps of `params.step`: levels are laid out anew wherever it changes.
     """
     std = np.sqrt(np.diag(road.covariance))
     low, high = road.mean - params.n_std * std, road.mean + params.n_std * std
-    step = params.step
-    horizon = np.floor(low[0] / n_rows / step) * step, np.ceil(high[0] / n_rows / step) * step
-    ratio = np.floor(low[1] / step) * step / params.lorry_to_car, np.ceil(high[1] / step) * step
-    return Reach(
-        tuple(float(share * n_rows) for share in np.clip(horizon, 0, 1)),
-        tuple(float(one) for one in np.maximum(ratio, 0)),
-    )
+    horizon = np.clip([low[0], high[0]], 0, n_rows)
+    ratio = np.maximum([low[1] / params.lorry_to_car, high[1]], 0)
+    return Reach(tuple(horizon.tolist()), tuple(ratio.tolist()))
 
 
 def update_road(prior: Road, boxes: np.ndarray, weights: np.ndarray, params: RoadParams) -> Road:
@@ -111,8 +106,6 @@ def update_road(prior: Road, boxes: np.ndarray, weights: np.ndarray, params: Roa
     # Divided by their height, boxes of all sizes err alike: bottom / h = horizon / h + ratio.
     columns = np.stack([1 / heights, np.ones(len(boxes))], axis=1)
     target = boxes[:, 3] / heights
-    # Boxes of one car in many frames are no independent witnesses.
-    weights = weights * min(1, params.most_witnesses / max(weights.sum(), 1e-9))
     precision = np.linalg.inv(prior.covariance)
     mean = prior.mean
     for _ in range(4):

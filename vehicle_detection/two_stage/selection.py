@@ -1,4 +1,4 @@
-"""Which candidates of a frame remain: possible sizes and shapes, non-maximum suppression."""
+"""Which candidates of a frame remain: non-maximum suppression."""
 
 from __future__ import annotations
 
@@ -6,14 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehicle_detection.tracking.boxes import (
-    box_areas,
-    clip_to_frame,
-    pairwise_overlap,
-)
+from vehicle_detection.tracking.boxes import box_areas, pairwise_overlap
 
 if TYPE_CHECKING:
-    from vehicle_detection.parameters import ScanParams, SelectionParams
+    from vehicle_detection.parameters import SelectionParams
 
 
 def overlap_conflicts(boxes: np.ndarray, params: SelectionParams) -> np.ndarray:
@@ -36,54 +32,23 @@ def overlap_conflicts(boxes: np.ndarray, params: SelectionParams) -> np.ndarray:
     return covered | (common > params.max_iou * (areas[:, None] + areas - common))
 
 
-def non_max_suppression(
-    boxes: np.ndarray, scores: np.ndarray, params: SelectionParams
-) -> np.ndarray:
+def non_max_suppression(conflicts: np.ndarray, scores: np.ndarray) -> np.ndarray:
     """Of boxes in conflict, keep the better ones.
 
     Parameters
     ----------
-    boxes : ndarray of float, shape (n, 4)
+    conflicts : ndarray of bool, shape (n, n)
+        See `overlap_conflicts`.
     scores : ndarray, shape (n,)
-    params : SelectionParams
-        See `overlap_conflicts`. Scores are compared in steps of `score_step`, and among equal
-        ones the earlier box stays: how a processor rounds must not move a box.
 
     Returns
     -------
     kept : ndarray of int
-        Indices, best first.
+        Indices, best first; of equal scores the earlier one.
     """
-    conflicts = overlap_conflicts(boxes, params)
-    suppressed, kept = np.zeros(len(boxes), bool), []
-    for i in np.argsort(-np.rint(scores / params.score_step), kind="stable"):
+    suppressed, kept = np.zeros(len(scores), bool), []
+    for i in np.argsort(-scores, kind="stable"):
         if not suppressed[i]:
             kept.append(i)
             suppressed |= conflicts[i]
     return np.array(kept, int)
-
-
-def are_plausible(
-    boxes: np.ndarray, frame_shape: tuple, scan: ScanParams, params: SelectionParams
-) -> np.ndarray:
-    """Which boxes have a size and shape that a vehicle within reach of the scan can have.
-
-    Parameters
-    ----------
-    boxes : ndarray of float, shape (n, 4)
-    frame_shape : (rows, columns, ...)
-    scan : ScanParams
-    params : SelectionParams
-
-    Returns
-    -------
-    plausible : ndarray of bool, shape (n,)
-    """
-    width, height = (boxes[:, 2:] - boxes[:, :2]).T
-    visible = box_areas(clip_to_frame(boxes, frame_shape)) / np.maximum(width * height, 1e-9)
-    unit = frame_shape[1] / scan.reference_width
-    low = scan.smallest * unit * params.size_range[0]
-    high = scan.largest * unit * params.size_range[1]
-    narrowest, widest = params.aspect_range
-    shaped = (narrowest * height < width) & (width < widest * height)
-    return (visible > params.min_visible) & shaped & (low < height) & (height < high)

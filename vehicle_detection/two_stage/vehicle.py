@@ -20,9 +20,9 @@ from vehicle_detection.tracking.tracker import Tracker
 from vehicle_detection.two_stage.distance import distances
 from vehicle_detection.two_stage.model import load_detector
 from vehicle_detection.two_stage.proposals import level_groups, propose
-from vehicle_detection.two_stage.refinement import merge, refine
+from vehicle_detection.two_stage.refinement import Candidates, refine
 from vehicle_detection.two_stage.road import RoadMemory, misplacement, reach
-from vehicle_detection.two_stage.selection import are_plausible, non_max_suppression
+from vehicle_detection.two_stage.selection import non_max_suppression, overlap_conflicts
 
 SHIPPED_DETECTOR = Path(__file__).parents[2] / "param/detector.npz"
 
@@ -124,22 +124,21 @@ class TwoStageVehicle(Viewer):
         """
         require_frame(rgb_frame, self._frame_shape)
         self._frame_shape = rgb_frame.shape
-        levels = self._next_levels()
+        road = self._memory.road(len(rgb_frame))
+        levels = self._next_levels(road)
         proposals, _ = propose(rgb_frame, levels, self.detector.templates, self.params.scan)
-        candidates = merge(self._predicted(), proposals, self.params.selection.same_iou)
-        discard_below = self.params.selection.discard_below
-        candidates = refine(rgb_frame, candidates, self.detector, discard_below)
-        candidates = self._select(candidates)
+        boxes = np.concatenate([self._predicted(), proposals])
+        candidates = self._select(refine(rgb_frame, boxes, self.detector), road)
         tracks = self._tracker.update(candidates.boxes, candidates.scores)
         vehicles = stack_boxes([track.box for track in tracks if track and track.is_confirmed])
         self._memory.learn(vehicles[self._are_whole_cars(vehicles)])
         return self._detections(proposals, candidates, tracks)
 
-    def _next_levels(self):
+    def _next_levels(self, road):
         """A group of levels in turn; all of them in the first frame."""
         rows, columns = self._frame_shape[:2]
         scan = self.params.scan if self._n_frames else replace(self.params.scan, n_groups=1)
-        where = reach(self._memory.road(rows), rows, self.params.road)
+        where = reach(road, rows, self.params.road)
         groups = level_groups((rows, columns), scan, where)
         self._n_frames += 1
         return groups[(self._n_frames - 1) % len(groups)]
@@ -147,40 +146,34 @@ class TwoStageVehicle(Viewer):
     def _predicted(self):
         """Predictions of the tracks, cut at the border of the frame like the truth."""
         boxes = clip_to_frame(self._tracker.predict(), self._frame_shape)
-        return boxes[self._are_plausible(boxes)]
+        # What has left the frame is no box any more, nor what shrank to nothing.
+        return boxes[(boxes[:, 2:] - boxes[:, :2] >= 1).all(axis=1)]
 
-    def _are_plausible(self, boxes):
-        return are_plausible(boxes, self._frame_shape, self.params.scan, self.params.selection)
-
-    def _select(self, candidates):
-        """The candidates of possible shape and place that are in conflict with no better one.
+    def _select(self, candidates, road):
+        """The candidates that are in conflict with no better one.
 
         Selected twice: what remains at first tells where the road is.
         """
-        n_rows = self._frame_shape[0]
-        candidates = candidates.only(self._are_plausible(candidates.boxes))
-        first = self._suppress(self._penalise(candidates, self._memory.road(n_rows)))
-        whole = first.only(self._are_whole_cars(first.boxes))
-        weights = np.clip(whole.scores - self.params.road.witness_from, 0, 1)
-        road = self._memory.road(n_rows, whole.boxes, weights)
-        return self._suppress(self._penalise(candidates, road))
+        boxes = candidates.boxes
+        conflicts = overlap_conflicts(boxes, self.params.selection)
+        scores = self._penalised(candidates, road)
+        kept = non_max_suppression(conflicts, scores)
+        whole = kept[self._are_whole_cars(boxes[kept])]
+        weights = np.clip(scores[whole] - self.params.tracks.score_offset, 0, 1)
+        road = self._memory.road(self._frame_shape[0], boxes[whole], weights)
+        scores = self._penalised(candidates, road)
+        return Candidates(boxes, scores).only(non_max_suppression(conflicts, scores))
 
-    def _penalise(self, candidates, road):
-        """Candidates that lose score where no vehicle can stand."""
+    def _penalised(self, candidates, road):
+        """Scores of candidates, less where no vehicle can stand."""
         boxes, params = candidates.boxes, self.params.road
+        cost = params.cost * misplacement(boxes, road, params) ** 2 / 2
         # A vehicle that the lower border cuts stands lower than it seems to.
-        cost = (
-            params.cost * ~self._at_border(boxes)[:, 3] * misplacement(boxes, road, params) ** 2 / 2
-        )
-        return replace(candidates, scores=candidates.scores - cost)
+        return candidates.scores - cost * ~self._at_border(boxes)[:, 3]
 
     def _at_border(self, boxes):
         """Which edges lie at the border of the frame, shape (n, 4)."""
         return touches_border(boxes, self._frame_shape, self.params.selection.at_border)
-
-    def _suppress(self, candidates):
-        rank = candidates.scores + self.params.selection.track_bonus * candidates.is_tracked
-        return candidates.only(non_max_suppression(candidates.boxes, rank, self.params.selection))
 
     def _are_whole_cars(self, boxes):
         """Which boxes tell where the road is."""

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from vehicle_detection.two_stage.training.footage import TrainingSet
 
 # Hard negatives: the best windows of each scale.
-MINING_SCAN = ScanParams(cells_per_step=1, n_groups=1, n_proposals=3, overlap=0.6)
+MINING_SCAN = ScanParams(threshold=-0.5, cells_per_step=1, n_groups=1, n_proposals=3, overlap=0.6)
 # A vehicle is one for a template whose shape differs by no more than this factor.
 _SHAPE_TOLERANCE = 1.35
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from tqdm.auto import tqdm
 
 from vehicle_detection.compiled.processes import in_parallel
 from vehicle_detection.parameters import ScanParams
@@ -21,7 +19,7 @@ from vehicle_detection.two_stage.features import (
     margins_outside,
     on_whole_pixels,
 )
-from vehicle_detection.two_stage.refinement import move_edges, score_boxes
+from vehicle_detection.two_stage.refinement import move_boxes, score_boxes
 from vehicle_detection.two_stage.training.augmentation import (
     degrade,
     random_camera,
@@ -138,8 +136,7 @@ def patch_samples(item: tuple, machines: tuple, params: TrainingParams) -> tuple
     Parameters
     ----------
     item : (Example, numpy.random.Generator)
-    machines : (templates, regressor, scorer)
-        With a scorer, what it is already sure of, and right, is left out; it may be None.
+    machines : (templates, regressor)
     params : TrainingParams
 
     Returns
@@ -148,14 +145,10 @@ def patch_samples(item: tuple, machines: tuple, params: TrainingParams) -> tuple
     labels : ndarray of int, shape (n,)
     """
     example, rng = item
-    templates, regressor, scorer = machines
     img, boxes, required = random_camera(example, rng)
-    windows, labels = clear_windows(img, boxes, required, (templates, regressor), rng, params)
+    windows, labels = clear_windows(img, boxes, required, machines, rng, params)
     planes = luma_and_chroma(degrade(cut_patches(img, windows), rng))
     features = describe_for_scorer(planes, margins_outside(windows, img.shape))
-    if scorer is not None:
-        hard = scorer.predict(features)[:, 0] * (2 * labels - 1) < params.sure_score
-        features, labels = features[hard], labels[hard]
     return features.astype(np.float16), labels
 
 
@@ -175,10 +168,8 @@ def clear_windows(
     labels : ndarray of int, shape (n,)
     """
     templates, regressor = machines
-    windows = on_whole_pixels(candidates(img, boxes, required, templates, rng))
-    planes = luma_and_chroma(cut_patches(img, windows))
-    features = describe_for_regressor(planes, margins_outside(windows, img.shape))
-    windows = on_whole_pixels(move_edges(windows, regressor.predict(features)))
+    windows = candidates(img, boxes, required, templates, rng)
+    windows = move_boxes(img, windows, regressor)
     iou = best_iou(windows, boxes[required])
     # A part of a vehicle is none, or it would be found beside the whole.
     is_other = (iou < params.background_iou) & is_background(windows, boxes[~required], 0.3, 0.5)
@@ -186,26 +177,29 @@ def clear_windows(
     return windows[clear], (iou[clear] > params.vehicle_iou).astype(int)
 
 
-def crop_patches(training_set: TrainingSet, rng: np.random.Generator, params: Any) -> Iterator:
-    """Yield patches of the training set's images, as `patch_samples`.
+def crop_samples(item: tuple, params: TrainingParams) -> tuple:
+    """Patches of an image of the training set, as `patch_samples`.
 
-    Each is taken whole, as if it were cut by the frame's border, and, of vehicles, in parts
-    that are none.
+    It is taken whole, as if it were cut by the frame's border, and, if it shows a vehicle, in
+    parts that are none.
+
+    Parameters
+    ----------
+    item : ((path, label), numpy.random.Generator)
+    params : TrainingParams
     """
-    labeled = [(path, 1) for path in 2 * (training_set.crops + training_set.square_crops)]
-    labeled += [(path, 0) for path in training_set.non_vehicles]
-    for path, label in tqdm(labeled, "crops", unit="image"):
-        img = random_crop(path, rng)
-        whole = np.array([0.0, 0.0, len(img), len(img)])
-        cut, outside = cut_by_border(whole, rng)
-        parts = random_parts(np.tile(whole, (2 * label, 1)), rng)
-        parts = parts[best_iou(parts, whole[None]) < params.background_iou]
-        boxes = np.concatenate([[whole, cut], parts])
-        all_outside = np.zeros((len(boxes), N_BORDERS))
-        all_outside[1] = outside
-        planes = luma_and_chroma(degrade(cut_patches(img, boxes), rng))
-        features = describe_for_scorer(planes, all_outside).astype(np.float16)
-        yield features, np.array([label, label, *np.zeros(len(parts), int)])
+    (path, label), rng = item
+    img = random_crop(path, rng)
+    whole = np.array([0.0, 0.0, len(img), len(img)])
+    cut, outside = cut_by_border(whole, rng)
+    parts = random_parts(np.tile(whole, (2 * label, 1)), rng)
+    parts = parts[best_iou(parts, whole[None]) < params.background_iou]
+    boxes = np.concatenate([[whole, cut], parts])
+    all_outside = np.zeros((len(boxes), N_BORDERS))
+    all_outside[1] = outside
+    planes = luma_and_chroma(degrade(cut_patches(img, boxes), rng))
+    features = describe_for_scorer(planes, all_outside).astype(np.float16)
+    return features, np.array([label, label, *np.zeros(len(parts), int)])
 
 
 def scored_patches(examples: list, detector: Any, seed: int, params: TrainingParams) -> tuple:
@@ -241,7 +235,7 @@ def scored_patches(examples: list, detector: Any, seed: int, params: TrainingPar
 def train_scorer(
     training_set: TrainingSet, machines: tuple, seed: int, jobs: int, params: TrainingParams
 ) -> KernelMachine:
-    """From patches to vehicle or not, a KernelMachine, with one round of hard patches.
+    """From patches to vehicle or not, a KernelMachine.
 
     Parameters
     ----------
@@ -254,14 +248,15 @@ def train_scorer(
     -------
     scorer : KernelMachine
     """
-    samples = list(crop_patches(training_set, np.random.default_rng([seed, 6]), params))
-    scorer: Any = None
-    for mining in range(2):
-        items = with_generators(training_set.examples, seed, 7, mining)
-        find = partial(patch_samples, machines=(*machines, scorer), params=params)
-        samples += in_parallel(find, items, jobs, "patches")
-        features, labels = map(np.concatenate, zip(*samples, strict=True))
-        rng = np.random.default_rng([seed, 8])
-        chosen = rng.permutation(len(labels))[: params.most_patches]
-        scorer = fit_scorer(features[chosen], labels[chosen], rng, params)
-    return scorer
+    images = [(path, 1) for path in 2 * (training_set.crops + training_set.square_crops)]
+    images += [(path, 0) for path in training_set.non_vehicles]
+    of_images = partial(crop_samples, params=params)
+    of_frames = partial(patch_samples, machines=machines, params=params)
+    found = [
+        *in_parallel(of_images, with_generators(images, seed, 6), jobs, "images"),
+        *in_parallel(of_frames, with_generators(training_set.examples, seed, 7), jobs, "patches"),
+    ]
+    features, labels = map(np.concatenate, zip(*found, strict=True))
+    rng = np.random.default_rng([seed, 8])
+    chosen = rng.permutation(len(labels))[: params.most_patches]
+    return fit_scorer(features[chosen], labels[chosen], rng, params)
