@@ -1,6 +1,6 @@
 """How long everything takes, and against what.
 
-    python -m experiments.benchmark [--video V] [--data FOLDER] [--json]
+    python -m experiments.benchmark [--detector G|two-stage] [--video V] [--data FOLDER] [--json]
 
 Machines are noisy: whatever is compared runs alternately, and medians are
 printed. The reference is the published way, window by window on scikit-image,
@@ -15,7 +15,6 @@ import json
 import subprocess
 import sys
 import tempfile
-import time
 from dataclasses import replace
 from itertools import cycle, islice
 from pathlib import Path
@@ -27,7 +26,8 @@ from moviepy import VideoFileClip
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 
-from experiments import reference
+from experiments import benchmark_two_stage, reference
+from experiments.timing import alternately, milliseconds, once
 from pipeline_functions import (
     convert_color,
     dense_features,
@@ -59,43 +59,9 @@ from vehicle_detection.parameters import (
     SEARCH_PRESETS,
     SearchParams,
 )
-from vehicle_detection.two_stage.proposals import level_groups, propose
-from vehicle_detection.two_stage.refinement import refine
-from vehicle_detection.two_stage.road import prior_road, reach
 from vehicle_detection.two_stage.vehicle import TwoStageVehicle
 
 FRAME_SIZES = ((640, 360), (1280, 720), (1920, 1080))
-
-
-def milliseconds(function, repeats):
-    """Median time of a call in milliseconds, after one call to warm up."""
-    function()
-    return float(np.median([_once(function) for _ in range(repeats)]))
-
-
-def alternately(functions, rounds):
-    """Median milliseconds of several functions, called in turn, round after round.
-
-    Parameters
-    ----------
-    functions : dict of str to callable
-    rounds : int
-
-    Returns
-    -------
-    times : dict of str to float
-    """
-    times = {name: [] for name in functions}
-    for _ in range(rounds):
-        for name, function in functions.items():
-            times[name].append(_once(function))
-    return {name: float(np.median(values)) for name, values in times.items()}
-
-
-def _once(function):
-    start = time.perf_counter()
-    function()
-    return 1000 * (time.perf_counter() - start)
 
 
 # --------------------------------------------------------------- one frame
@@ -133,21 +99,6 @@ def stages(frames, paths):
         "drawing": lambda: vehicle.draw(frame, detections),
     }
     return {name: milliseconds(call, 25) for name, call in calls.items()}
-
-
-def stages_of_two(frames, paths):
-    """Milliseconds a frame of every stage of the two-stage detector, the road not yet known."""
-    vehicle = TwoStageVehicle(None, paths[2])
-    for frame in frames[-20:]:
-        detections = vehicle.detect(frame)
-    scan, learned, params = vehicle.params.scan, vehicle.detector, vehicle.params.road
-    where = reach(prior_road(len(frame), params), len(frame), params)
-    groups = cycle(level_groups(frame.shape[:2], scan, where))
-    calls = {
-        "first stage": lambda: propose(frame, next(groups), learned.templates, scan),
-        "refinement": lambda: refine(frame, detections.proposals, learned),
-    }
-    return {name: milliseconds(call, 40) for name, call in calls.items()}
 
 
 def detector(frames, paths):
@@ -313,15 +264,16 @@ def growth(frames, paths):
     vehicle = Vehicle(None, paths[1])
     for count in (10, 30, 100):
         vehicle.reset()
-        by_frames[count] = _once(
+        by_frames[count] = once(
             lambda n=count: [vehicle.detect(frames[i % len(frames)]) for i in range(n)]
         )
     return {"pixels": by_size, "windows": by_windows, "frames": by_frames}
 
 
 def draw_growth(figures):
-    """Log-log figure of `growth`."""
-    figure, axes = plt.subplots(1, 3, figsize=(12, 3.5), layout="constrained")
+    """Log-log figure of milliseconds a frame by several things."""
+    size = 4 * len(figures), 3.5
+    figure, axes = plt.subplots(1, len(figures), figsize=size, layout="constrained")
     for axis, (name, times) in zip(axes, figures.items(), strict=True):
         axis.loglog(list(times), list(times.values()), marker="o")
         axis.set(xlabel=name, ylabel="milliseconds")
@@ -333,19 +285,36 @@ def draw_growth(figures):
 
 
 def first_frames(video):
-    """Up to a hundred frames of a video."""
-    return list(islice(read_frames(video), 100))
+    """Up to two hundred frames of a video."""
+    return list(islice(read_frames(video), 200))
+
+
+def measure_two_stage(arguments, folder):
+    """Every figure of the two-stage detector, as a dict of dicts, and those to be drawn."""
+    detector = arguments.two_stage_param.resolve()
+    frames = first_frames(arguments.video)
+    clip = write_clip(folder / "clip.mp4", frames, video_info(arguments.video), arguments.frames)
+    figures = {
+        "milliseconds a frame": benchmark_two_stage.whole_frames(frames, detector),
+        "milliseconds a frame, by stage": benchmark_two_stage.stages(frames, detector),
+    }
+    by_clips = benchmark_two_stage.by_clips(clip, arguments.frames, folder, detector)
+    curves = {
+        "pixels": benchmark_two_stage.by_size(frames, detector),
+        "vehicles": benchmark_two_stage.by_vehicles(detector),
+        "clips at a time": by_clips,
+    }
+    return figures, curves
 
 
 def measure(arguments, folder):
-    """Every figure, as a dict of dicts."""
-    paths = [p.resolve() for p in (arguments.calib, arguments.param, arguments.detector)]
+    """Every figure of the pipeline, as a dict of dicts, and those to be drawn."""
+    paths = [p.resolve() for p in (arguments.calib, arguments.param, arguments.two_stage_param)]
     info = video_info(arguments.video)
     frames = first_frames(arguments.video)
     clip = write_clip(folder / "clip.mp4", frames, info, arguments.frames)
     figures = {
         "milliseconds a frame, by stage": stages(frames, paths),
-        "milliseconds a frame, two stages": stages_of_two(frames, paths),
         "milliseconds a frame, detector": detector(frames, paths),
         "milliseconds a frame, video": video_job(clip, paths, folder),
         "peak memory of the video job, MB": peak_memory(
@@ -354,7 +323,7 @@ def measure(arguments, folder):
     }
     if arguments.data:
         figures["training"] = training(arguments.data)
-    return figures
+    return figures, growth(frames, (None, arguments.param))
 
 
 def main():
@@ -370,14 +339,17 @@ def main():
         "--data", type=Path, help="folder with vehicles/ and non-vehicles/: also time training"
     )
     parser.add_argument("--param", type=Path, default=Path("param/svc_pickle.p"))
-    parser.add_argument("--detector", type=Path, default=Path("param/detector.npz"))
+    parser.add_argument(
+        "--detector", choices=("G", "two-stage"), default="G", help="which one to take apart"
+    )
+    parser.add_argument("--two-stage-param", type=Path, default=Path("param/detector.npz"))
     parser.add_argument("--calib", type=Path, default=Path("param/calib.p"))
     parser.add_argument("--out", type=Path, default=Path("output"), help="for the figure")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        figures = measure(arguments, Path(folder))
-        curves = growth(first_frames(arguments.video), (None, arguments.param))
+        run = measure if arguments.detector == "G" else measure_two_stage
+        figures, curves = run(arguments, Path(folder))
     figures |= {f"milliseconds by {name}": times for name, times in curves.items()}
     if arguments.json:
         print(json.dumps(figures, indent=1))
@@ -386,7 +358,8 @@ def main():
             print(title)
             for name, value in values.items():
                 print(f"  {name!s:28}{value:10.2f}")
-    with written_whole(arguments.out / "growth.png") as file:
+    name = "growth.png" if arguments.detector == "G" else "growth_two_stage.png"
+    with written_whole(arguments.out / name) as file:
         draw_growth(curves).savefig(file, dpi=90)
 
 
