@@ -70,7 +70,7 @@ VARIANTS = {
     "no road (cost 0)": TwoStageParams(road=replace(DEFAULT_ROAD, cost=0)),
     "parts of better boxes stay (max_covered 1)": selection(max_covered=1),
     "lorries tell the road too (whole_car_aspect 0)": selection(whole_car_aspect=0),
-    "less offset of scores (score_offset 0.1)": tracks(score_offset=0.1),
+    "scores less 0.1 instead of 0.5 (score_offset)": tracks(score_offset=0.1),
     "confirmed at once (confirm_at 0)": tracks(confirm_at=0),
 }
 
@@ -137,10 +137,10 @@ def main():
     heads = [*CLIPS, "AP of stills"]
     lines = [
         "# Ablations", "",
-        "What each rule of the two-stage detector is worth, switched off alone. Cells are false",
-        "positives + misses at an IoU of 0.5, identity switches in brackets. Every clip is run",
-        "with a detector that has not learned from its camera; the last column is the mean average",
-        "precision over six folders of stills.", "",
+        "What each rule of the two-stage detector is worth, switched off or changed alone. Cells",
+        "are false positives + misses at an IoU of 0.5, identity switches in brackets. Every clip",
+        "is run with a detector that has not learned from its camera; the last column is the mean",
+        "average precision over six folders of stills.", "",
         "```sh", "python -m experiments.leave_one_out run DATA --quick",
         "python -m experiments.ablations", "```", "",
         f"| rule off | {' | '.join(heads)} |", "|---" * (1 + len(heads)) + "|", *rows, "",

@@ -271,12 +271,13 @@ def growth(frames, paths):
 
 
 def draw_growth(figures):
-    """Log-log figure of milliseconds a frame by several things."""
+    """Figure of milliseconds by several things, log-log but where something is 0."""
     size = 4 * len(figures), 3.5
     figure, axes = plt.subplots(1, len(figures), figsize=size, layout="constrained")
     for axis, (name, times) in zip(axes, figures.items(), strict=True):
-        axis.loglog(list(times), list(times.values()), marker="o")
-        axis.set(xlabel=name, ylabel="milliseconds")
+        axis.plot(list(times), list(times.values()), marker="o")
+        scale = "symlog" if 0 in times else "log"
+        axis.set(xlabel=name, ylabel="milliseconds", xscale=scale, yscale="log")
         axis.grid(which="both", alpha=0.3)
     return figure
 
@@ -336,7 +337,7 @@ def main():
     parser.add_argument("--video", type=Path, default=Path("videos/drive.mp4"))
     parser.add_argument("--frames", type=int, default=300, help="length of the video job")
     parser.add_argument(
-        "--data", type=Path, help="folder with vehicles/ and non-vehicles/: also time training"
+        "--data", type=Path, help="G: folder with vehicles/ and non-vehicles/, also time training"
     )
     parser.add_argument("--param", type=Path, default=Path("param/svc_pickle.p"))
     parser.add_argument(
@@ -344,11 +345,14 @@ def main():
     )
     parser.add_argument("--two-stage-param", type=Path, default=Path("param/detector.npz"))
     parser.add_argument("--calib", type=Path, default=Path("param/calib.p"))
-    parser.add_argument("--out", type=Path, default=Path("output"), help="for the figure")
+    parser.add_argument("--out", type=Path, default=Path("output"), help="for the figures")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     arguments = parser.parse_args()
+    is_two_stage = arguments.detector == "two-stage"
+    if is_two_stage and arguments.data:
+        parser.error("--data belongs to --detector G")
     with tempfile.TemporaryDirectory() as folder:
-        run = measure if arguments.detector == "G" else measure_two_stage
+        run = measure_two_stage if is_two_stage else measure
         figures, curves = run(arguments, Path(folder))
     figures |= {f"milliseconds by {name}": times for name, times in curves.items()}
     if arguments.json:
@@ -358,7 +362,7 @@ def main():
             print(title)
             for name, value in values.items():
                 print(f"  {name!s:28}{value:10.2f}")
-    name = "growth.png" if arguments.detector == "G" else "growth_two_stage.png"
+    name = "growth_two_stage.png" if is_two_stage else "growth.png"
     with written_whole(arguments.out / name) as file:
         draw_growth(curves).savefig(file, dpi=90)
 

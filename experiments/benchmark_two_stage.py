@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from experiments.timing import alternately, milliseconds, once
 from rendered_road.render import Actor, make_world, render
@@ -29,6 +30,8 @@ FRAME_SIZES = ((640, 360), (1280, 720), (1920, 1080), (3840, 2160))
 VEHICLE_COUNTS = (0, 1, 2, 5, 10, 20)
 CLIP_COUNTS = (1, 2)
 _GRAY = (0.5, 0.5, 0.5)
+# In metres, and in lanes.
+_CARS_AHEAD, _CAR_SPACING = 45.0, 0.65
 _ROOT = Path(__file__).parents[1]
 
 
@@ -55,9 +58,10 @@ def stages(frames, detector):
         "of it, cells for the scorer": lambda: describe_for_scorer(planes, outside),
         "of it, scorer": lambda: learned.scorer.predict(for_scorer),
     }
-    return {name: milliseconds(call, 40) for name, call in calls.items()} | {
-        "boxes looked at": len(proposals)
-    }
+    # As `refine` does.
+    with threadpool_limits(1, "blas"):
+        times = {name: milliseconds(call, 40) for name, call in calls.items()}
+    return times | {"proposals, for comparison": len(proposals)}
 
 
 def whole_frames(frames, detector):
@@ -83,12 +87,12 @@ def by_size(frames, detector, rounds=5):
 
 
 def traffic(count, seed=3):
-    """A rendered motorway with so many vehicles, row behind row, one in each lane."""
-    world = make_world(seed)
-    actors = []
-    for i in range(count):
-        row, lane = divmod(i, world.n_lanes)
-        actors.append(Actor(i + 1, "saloon", _GRAY, 10.0 + 12 * row, 0.0, lane, style=i))
+    """A rendered plain with so many cars side by side, so that none hides another."""
+    middle = make_world(seed).own_lane - _CAR_SPACING * (count - 1) / 2
+    actors = [
+        Actor(i + 1, "saloon", _GRAY, _CARS_AHEAD, 0.0, middle + _CAR_SPACING * i, style=i)
+        for i in range(count)
+    ]
     return make_world(seed, actors)
 
 

@@ -37,7 +37,9 @@ from vehicle_detection.parameters import (
 )
 from vehicle_detection.two_stage.model import save_detector
 from vehicle_detection.two_stage.training.__main__ import gather, parse_arguments, train_detector
+from vehicle_detection.two_stage.training.first_stage import MINING_SCAN
 from vehicle_detection.two_stage.training.footage import read_cameras
+from vehicle_detection.two_stage.training.second_stage import CANDIDATE_SCAN
 from vehicle_detection.two_stage.vehicle import TwoStageVehicle
 
 CAMERAS = Path(__file__).parent / "cameras.csv"
@@ -144,9 +146,10 @@ def run_group(configuration, data, quick, folder):
 
 
 def settings_of(quick):
-    """Short text that changes with whatever the figures depend on."""
+    """Short text that changes with the settings that a detector is trained with."""
     params = QUICK_TRAINING if quick else DEFAULT_TRAINING
-    return hashlib.sha1(repr((params, CAMERAS.read_text())).encode()).hexdigest()[:8]
+    every = params, MINING_SCAN, CANDIDATE_SCAN, CAMERAS.read_text()
+    return hashlib.sha1(repr(every).encode()).hexdigest()[:8]
 
 
 def report(results):

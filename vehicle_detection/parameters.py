@@ -379,6 +379,8 @@ class RoadParams:
         Standard deviation of a car's height, as a share of its height.
     lorry_to_car : float
         Height of the highest lorry, some four metres, by that of a car.
+    most_witnesses : float
+        Cars that count for independent, together: many boxes are of the same car, and may be none.
     most_cars : int
         Boxes that are remembered.
     n_std : float
@@ -392,15 +394,16 @@ class RoadParams:
     camera_to_car: tuple = (0.95, 0.2)
     spread: float = 0.2
     lorry_to_car: float = 3
-    most_cars: int = 100
+    most_witnesses: float = 20
+    most_cars: int = 500
     n_std: float = 2
     cost: float = 0.5
 
     def __post_init__(self):
         if min(*self.horizon, *self.camera_to_car) <= 0:
             raise ValueError("means and standard deviations of the road are above 0")
-        if min(self.spread, self.most_cars, self.n_std) <= 0:
-            raise ValueError("spread, most_cars and n_std are above 0")
+        if min(self.spread, self.most_witnesses, self.most_cars, self.n_std) <= 0:
+            raise ValueError("spread, most_witnesses, most_cars and n_std are above 0")
         if self.lorry_to_car < 1 or self.cost < 0:
             raise ValueError("lorry_to_car starts at 1, cost at 0")
 
@@ -445,15 +448,16 @@ class TrackParams:
     min_iou : float
         Least IoU of a box with the prediction of its track, between 0 and 1.
     process_noise : float
-        Standard deviation of the change of an edge's velocity from frame to frame, by that of
-        where the edge is seen.
+        Standard deviation of the change of an edge's velocity from frame to frame, relative to
+        that of the measured edge.
     confirm_at : float
         Accumulated score that makes a track a vehicle.
     max_score : float
         No track accumulates more, so that what has gone is soon dropped.
     score_offset : float
-        Subtracted from every score, and from 0 in a frame without a box: what was taken for a
-        vehicle and is none goes on scoring little more than 0.
+        Subtracted from every score; a frame without a box counts as a score of 0. What is no
+        vehicle often keeps scores just above 0, and so loses its track. Only from this score on
+        does a box tell of the road.
     """
 
     min_iou: float = 0.2
@@ -500,7 +504,8 @@ VIDEO_PARAMS = TwoStageParams()
 # A still is scanned at all scales at once, and has no other frame to agree with.
 STILL_PARAMS = TwoStageParams(
     scan=ScanParams(smallest=24, cells_per_step=1, n_groups=1, n_proposals=12),
-    tracks=TrackParams(confirm_at=0.6),
+    # A score of 0.6, less the offset.
+    tracks=TrackParams(confirm_at=0.1),
 )
 
 
@@ -594,6 +599,9 @@ class TrainingParams:
         So often at most; every time is varied anew.
     crop_views : int
         So often is each boxed crop varied.
+    window_jitter : float
+        Standard deviation of the edges of a vehicle's window, in widths and heights. The first
+        stage's windows lie on a grid of cells, and are off by up to half a step.
     vehicle_iou, background_iou : float
         A box that overlaps a vehicle by more than the first is one, by less than the second
         is background; what lies between teaches neither.
@@ -610,6 +618,8 @@ class TrainingParams:
         Median score of the vehicles that were learned from.
     most_patches : int
         That the scorer is fitted to, at random among all: each takes 64 kB of memory.
+    sure_score : float
+        A patch that is scored right by more than this teaches nothing new.
     n_principal, n_gradients : int
         Principal components, and patches, among which the regressor's components are found.
     """
@@ -617,6 +627,7 @@ class TrainingParams:
     per_camera: int = 250
     most_repeats: int = 6
     crop_views: int = 8
+    window_jitter: float = 0.08
     vehicle_iou: float = 0.6
     background_iou: float = 0.4
     mining_rounds: int = 2
@@ -625,10 +636,11 @@ class TrainingParams:
     template_C: float = 5e-4
     scorer_C: float = 0.1
     ridge_alpha: float = 1.0
-    scorer_size: tuple = (124, 4000)
+    scorer_size: tuple = (200, 4000)
     regressor_size: tuple = (64, 3000)
     vehicle_score: float = 1.5
     most_patches: int = 100_000
+    sure_score: float = 0.5
     n_principal: int = 600
     n_gradients: int = 12_000
 

@@ -53,7 +53,7 @@ def test_two_vehicles_keep_their_identities_whatever_the_order():
 
 
 def test_a_gap_is_bridged_where_its_speed_takes_the_vehicle():
-    tracker = Tracker(TrackParams(max_score=31))
+    tracker = Tracker(TrackParams(max_score=15.5))
     for i in range(40):
         step(tracker, boxes(box_at(100 + 5 * i)))
     for _ in range(30):

@@ -52,13 +52,31 @@ def test_groups_share_out_all_levels(width, shape, ratio, n_groups):
     frame = round(width * shape), width
     (every,) = level_groups(frame, replace(scan, n_groups=1), anywhere(frame[0]))
     groups = level_groups(frame, scan, anywhere(frame[0]))
-    assert all(groups) and len(groups) <= n_groups
+    assert len(groups) == n_groups
     assert sorted(map(repr, every)) == sorted(repr(level) for group in groups for level in group)
     heights = [WINDOW_ROWS * WINDOW_CELL * (a.bottom - a.top) / a.rows for a in every]
     assert abs(heights[0] - 32 * width / 1280) < 0.06 * heights[0]
     assert all(0 <= a.top < a.bottom <= frame[0] for a in every)
     # Levels are as fine as asked for, but for rounding.
     assert (np.diff(np.log(heights)) < np.log(ratio) + 0.1).all()
+
+
+def test_a_level_stays_in_its_group_whatever_the_reach():
+    scan = ScanParams(n_groups=4)
+    groups = {}
+    for low in np.linspace(250, 450, 21):
+        reach = Reach(horizon=(low - 20, low + 20), ratio=(0.2, 1.0))
+        for number, group in enumerate(level_groups((720, 1280), scan, reach)):
+            for level in group:
+                groups.setdefault(level.columns, set()).add(number)
+    assert len(groups) > 10 and all(len(numbers) == 1 for numbers in groups.values())
+
+
+def test_no_level_has_no_proposal():
+    boxes, scores = propose(
+        textured_image(0, 90, 120), [], random_detector(0).templates, ScanParams()
+    )
+    assert boxes.shape == (0, 4) and scores.shape == (0,)
 
 
 def test_a_frame_too_small_for_any_window_is_refused():

@@ -22,7 +22,7 @@ def test_edges_move_by_shares_of_the_box():
     np.testing.assert_allclose(moved, [(90, 60, 220, 90)])
 
 
-def test_the_closer_look_scores_where_it_moved_the_box():
+def test_boxes_are_scored_where_they_were_moved():
     img = textured_image(4, 240, 320)
     detector = random_detector(0)
 

@@ -63,6 +63,12 @@ def test_one_car_is_the_textbook_update():
     )
 
 
+def test_many_boxes_of_one_car_count_for_few():
+    car = np.array([(0.0, 400, 140, 500)])
+    few, many = (learned(np.repeat(car, n, axis=0)) for n in (20, 2000))
+    np.testing.assert_allclose(few.covariance, many.covariance)
+
+
 KNOWN = Road(np.array([400.0, 0.8]), np.zeros((2, 2)))
 
 

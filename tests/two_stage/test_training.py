@@ -355,7 +355,7 @@ def test_a_template_folds_its_scaling():
 def test_regressor_and_scorer_learn_what_is_not_linear():
     rng = np.random.default_rng(0)
     x, y = rng.normal(size=(2, 1500, 1))
-    features = np.repeat(np.hstack([x, y]), 75, axis=1) + rng.normal(0, 0.1, size=(1500, 150))
+    features = np.repeat(np.hstack([x, y]), 150, axis=1) + rng.normal(0, 0.1, size=(1500, 300))
     features = features.astype(np.float32)
     radius = np.hypot(x, y)[:, 0]
     shifts = np.stack([radius, -radius], axis=1) / 10

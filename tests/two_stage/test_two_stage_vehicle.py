@@ -64,8 +64,8 @@ def scripted(monkeypatch):
             boxes = np.array([box for box, _ in rows], float).reshape(-1, 4)
             scores = [score for _, score in rows]
 
-            def refine(_, candidates, *__, boxes=boxes, scores=scores):
-                looked_at.append(candidates)
+            def refine(_, looked, *__, boxes=boxes, scores=scores):
+                looked_at.append(looked)
                 return Candidates(boxes, np.array(scores))
 
             monkeypatch.setattr(f"{MODULE}.propose", lambda *_, boxes=boxes: (boxes, None))
@@ -97,6 +97,22 @@ def test_a_vehicle_that_is_gone_is_dropped_once_its_score_is_used_up(scripted):
     # What is proposed is looked at beside what is predicted.
     expected = [2] * 4 + [1] * n_frames + [0] * (12 - n_frames)
     assert [len(boxes) for boxes in looked_at[1:]] == expected
+
+
+def test_what_has_left_the_frame_is_no_longer_looked_for(scripted):
+    leaving = [[((200.0 + 20 * i, 80, 250 + 20 * i, 120), 3.0)] for i in range(6)]
+    _, looked_at = scripted(leaving + [[]] * 10)
+    for boxes in looked_at:
+        sides = boxes[:, 2:] - boxes[:, :2]
+        assert (sides >= 1).all() and (boxes[:, 0] < 320).all()
+    # The track lasts longer than its way out of the frame.
+    assert len(looked_at[6]) == 1 and [len(boxes) for boxes in looked_at[8:12]] == [0] * 4
+
+
+@pytest.mark.parametrize(("score", "count"), [(0.65, 1), (0.55, 0)])
+def test_a_still_shows_what_scores_enough(scripted, score, count):
+    (found,), _ = scripted([[(NEAR, score)]], params=STILL_PARAMS)
+    assert len(found.boxes) == count
 
 
 def test_a_sign_above_the_road_loses_score(scripted):

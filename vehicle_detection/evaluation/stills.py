@@ -24,6 +24,9 @@ from vehicle_detection.parameters import STILL_PARAMS
 from vehicle_detection.tracking.boxes import box_areas, pairwise_iou, pairwise_overlap
 from vehicle_detection.two_stage.vehicle import SHIPPED_DETECTOR, TwoStageVehicle
 
+# Score from which a box of a still is a vehicle.
+STILL_THRESHOLD = STILL_PARAMS.tracks.confirm_at + STILL_PARAMS.tracks.score_offset
+
 
 @dataclass(frozen=True)
 class StillFigures:
@@ -125,7 +128,7 @@ def figures_of(
 
 
 def score_folder(
-    folder: Path, vehicle: TwoStageVehicle, threshold: float = STILL_PARAMS.tracks.confirm_at
+    folder: Path, vehicle: TwoStageVehicle, threshold: float = STILL_THRESHOLD
 ) -> StillFigures:
     """Figures of a detector on a folder of stills.
 

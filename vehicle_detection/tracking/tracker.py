@@ -64,7 +64,7 @@ class Track:
 def _kalman_filter(box, params):
     """Filter of four edges and their velocities in pixels a frame.
 
-    The noise of where an edge is seen is the unit: only the ratio to the process noise counts.
+    The measurement noise is 1: only the ratio to the process noise counts.
     """
     kalman = cv2.KalmanFilter(8, 4, 0, cv2.CV_64F)
     kalman.transitionMatrix = np.eye(8) + np.eye(8, k=4)
@@ -115,7 +115,7 @@ class Tracker:
         -------
         tracks : list of Track or None
             The track of each box, each at most once; None for a box that belongs to no track
-            and starts none, because its score is not positive.
+            and starts none, because its score is not above `score_offset`.
         """
         owners = self._assign(boxes)
         for track in set(self._tracks).difference(owners):
@@ -123,7 +123,7 @@ class Tracker:
         for i, (box, score) in enumerate(zip(boxes, scores, strict=True)):
             if owners[i] is not None:
                 owners[i].correct(box, score)
-            elif score > 0:
+            elif score > self.params.score_offset:
                 owners[i] = Track(box, float(score), self.params)
                 self._tracks.append(owners[i])
         self._tracks = [track for track in self._tracks if track.score > 0]

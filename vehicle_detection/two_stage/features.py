@@ -55,7 +55,7 @@ def normalise_cells(histograms: np.ndarray, lengths: np.ndarray, around: np.ndar
     Parameters
     ----------
     histograms : ndarray of float32, shape (..., orientations)
-        See `dense_hog.cell_histograms`.
+        See `compiled.hog.cell_histograms`.
     lengths, around : ndarray of float32, shape (...)
         See `cell_lengths`; `around` may be broadcast.
 
@@ -240,7 +240,7 @@ def _halved(planes):
 
 
 def _patch_histograms(planes):
-    """`dense_hog.cell_histograms` of planes, shape (channels, n, side, side, orientations)."""
+    """`compiled.hog.cell_histograms` of planes, shape (channels, n, side, side, orientations)."""
     n_channels, n, rows, columns = planes.shape
     shape = n_channels, n, PATCH_SIDE, PATCH_SIDE, ORIENTATIONS
     if not n:

@@ -63,22 +63,23 @@ class KernelMachine:
     def predict(self, features: np.ndarray) -> np.ndarray:
         """Outputs for features of float32, shape (n, n_features), shape (n, n_outputs)."""
         components = features @ self.projection.T + self.offset
-        exponents = _with_squares(components, of_centers=False) @ self._extended_centers
+        squares = _squared_lengths(components)
+        # |x - c|^2 = |x|^2 + |c|^2 - 2 x c, as one product instead of three passes.
+        extended = np.hstack([components, squares, np.ones_like(squares)])
+        exponents = extended @ self._extended_centers
         return np.exp(exponents, out=exponents) @ self.weights.T + self.bias
 
     @cached_property
     def _extended_centers(self):
-        return np.float32(-self.gamma) * _with_squares(self.centers, of_centers=True).T
+        """What extended components are multiplied by; shape (n_components + 2, n)."""
+        squares = _squared_lengths(self.centers)
+        rows = np.hstack([-2 * self.centers, np.ones_like(squares), squares])
+        return np.float32(-self.gamma) * rows.T
 
 
-def _with_squares(rows, of_centers):
-    """Rows that multiply those of the other kind to squared distances, shape (n, columns + 2).
-
-    |x - c|^2 = -2 x c + |x|^2 + |c|^2: one product instead of three passes.
-    """
-    squares = np.einsum("ij,ij->i", rows, rows)[:, None]
-    ones = np.ones_like(squares)
-    return np.hstack([-2 * rows, ones, squares] if of_centers else [rows, squares, ones])
+def _squared_lengths(rows):
+    """Squared length of every row, shape (n, 1)."""
+    return np.einsum("ij,ij->i", rows, rows)[:, None]
 
 
 @dataclass(frozen=True)

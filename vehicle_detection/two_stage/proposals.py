@@ -62,6 +62,7 @@ def level_groups(frame_shape: tuple, scan: ScanParams, reach: Reach) -> list:
     Returns
     -------
     groups : list of list of Level
+        As many as `scan.n_groups`; some may be empty.
 
     Raises
     ------
@@ -69,9 +70,14 @@ def level_groups(frame_shape: tuple, scan: ScanParams, reach: Reach) -> list:
         No window fits the frame.
     """
     height, width = frame_shape[:2]
-    side, levels = scan.smallest * width / scan.reference_width, []
+    side = scan.smallest * width / scan.reference_width
     unit = scan.cells_per_step * WINDOW_CELL
+    loads = [0.0] * scan.n_groups
+    groups = [[] for _ in loads]
     while side <= scan.largest * width / scan.reference_width:
+        # By its size in the whole frame, so that a level stays in its group as the reach changes.
+        group = int(np.argmin(loads))
+        loads[group] += 1 / side**2
         # Whole steps, so that the last windows end where the frame ends, or a cell
         # before: vehicles enter at its edges.
         scale = side / (WINDOW_ROWS * WINDOW_CELL)
@@ -80,14 +86,11 @@ def level_groups(frame_shape: tuple, scan: ScanParams, reach: Reach) -> list:
         rows = round((bottom - top) / scale / unit) * unit
         columns = round(width / scale / unit) * unit
         if min(rows, columns) >= WINDOW_ROWS * WINDOW_CELL:
-            levels.append(Level(max(0, round(bottom - rows * scale)), bottom, rows, columns))
+            top = max(0, round(bottom - rows * scale))
+            groups[group].append(Level(top, bottom, rows, columns))
         side *= scan.ratio
-    if not levels:
+    if not any(groups):
         raise ValueError(f"no window fits a frame of {width}x{height}: use a larger picture")
-    groups = [[] for _ in range(min(scan.n_groups, len(levels)))]
-    for level in levels:
-        smallest = min(groups, key=lambda group: sum(one.rows * one.columns for one in group))
-        smallest.append(level)
     return groups
 
 
@@ -154,6 +157,8 @@ def propose(img: np.ndarray, levels: list, templates: tuple, scan: ScanParams) -
     scores : ndarray of float32, shape (n,)
         Best first.
     """
+    if not levels:
+        return np.empty((0, 4)), np.empty(0, np.float32)
     found = side_by_side(lambda level: _propose_on_level(img, level, templates, scan), levels)
     boxes, scores = map(np.concatenate, zip(*found, strict=True))
     best = suppress(boxes, scores, scan.overlap)

@@ -81,7 +81,7 @@ def reach(road: Road, n_rows: int, params: RoadParams) -> Reach:
     low, high = road.mean - params.n_std * std, road.mean + params.n_std * std
     horizon = np.clip([low[0], high[0]], 0, n_rows)
     ratio = np.maximum([low[1] / params.lorry_to_car, high[1]], 0)
-    return Reach(tuple(horizon.tolist()), tuple(ratio.tolist()))
+    return Reach(tuple(horizon), tuple(ratio))
 
 
 def update_road(prior: Road, boxes: np.ndarray, weights: np.ndarray, params: RoadParams) -> Road:
@@ -106,6 +106,8 @@ def update_road(prior: Road, boxes: np.ndarray, weights: np.ndarray, params: Roa
     # Divided by their height, boxes of all sizes err alike: bottom / h = horizon / h + ratio.
     columns = np.stack([1 / heights, np.ones(len(boxes))], axis=1)
     target = boxes[:, 3] / heights
+    # Boxes of one car in many frames are no independent witnesses.
+    weights = weights * min(1, params.most_witnesses / max(weights.sum(), 1e-9))
     precision = np.linalg.inv(prior.covariance)
     mean = prior.mean
     for _ in range(4):

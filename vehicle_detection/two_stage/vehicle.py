@@ -38,7 +38,7 @@ class Detections:
     candidates : ndarray of float, shape (m, 4)
         Refined predictions and proposals that passed the selection.
     candidate_scores : ndarray of float, shape (m,)
-        Decision function of each, less the cost of its height deficit.
+        Decision function of each, less what it loses on the road, see `road.misplacement`.
     track_scores : ndarray of float, shape (m,)
         Accumulated score of the track of each candidate, 0 for none.
     boxes : ndarray of int, shape (k, 4)
@@ -130,9 +130,10 @@ class TwoStageVehicle(Viewer):
         boxes = np.concatenate([self._predicted(), proposals])
         candidates = self._select(refine(rgb_frame, boxes, self.detector), road)
         tracks = self._tracker.update(candidates.boxes, candidates.scores)
-        vehicles = stack_boxes([track.box for track in tracks if track and track.is_confirmed])
+        confirmed = [i for i, track in enumerate(tracks) if track and track.is_confirmed]
+        vehicles = stack_boxes([tracks[i].box for i in confirmed])
         self._memory.learn(vehicles[self._are_whole_cars(vehicles)])
-        return self._detections(proposals, candidates, tracks)
+        return self._detections(proposals, candidates, tracks, confirmed)
 
     def _next_levels(self, road):
         """A group of levels in turn; all of them in the first frame."""
@@ -182,9 +183,8 @@ class TwoStageVehicle(Viewer):
             width > self.params.selection.whole_car_aspect * height
         )
 
-    def _detections(self, proposals, candidates, tracks):
+    def _detections(self, proposals, candidates, tracks, confirmed):
         """Vehicles are the confirmed tracks that have a box in this frame."""
-        confirmed = [i for i, track in enumerate(tracks) if track and track.is_confirmed]
         boxes = stack_boxes([tracks[i].box for i in confirmed])
         boxes = clip_to_frame(boxes, self._frame_shape)
         return Detections(

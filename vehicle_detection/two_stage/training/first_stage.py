@@ -29,7 +29,6 @@ from vehicle_detection.two_stage.road import prior_road, reach
 from vehicle_detection.two_stage.training.augmentation import random_camera, random_crop
 from vehicle_detection.two_stage.training.footage import with_generators
 from vehicle_detection.two_stage.training.sampling import (
-    WINDOW_JITTER,
     is_background,
     jittered,
 )
@@ -117,14 +116,13 @@ def crop_windows(training_set: TrainingSet, rng: np.random.Generator) -> Iterato
             yield i, cell_features(cut), 0
 
 
-def frame_windows(item: tuple, count: int) -> list:
+def frame_windows(item: tuple, params: TrainingParams) -> list:
     """Windows of a frame: its vehicles, and its surroundings at random.
 
     Parameters
     ----------
     item : (Example, numpy.random.Generator)
-    count : int
-        Windows of surroundings, for each template.
+    params : TrainingParams
 
     Returns
     -------
@@ -134,14 +132,16 @@ def frame_windows(item: tuple, count: int) -> list:
     example, rng = item
     img, boxes, required = random_camera(example, rng)
     return [
-        *vehicle_windows(img, boxes[required], rng),
-        *surrounding_windows(img, boxes, rng, count),
+        *vehicle_windows(img, boxes[required], rng, params.window_jitter),
+        *surrounding_windows(img, boxes, rng, params.n_random),
     ]
 
 
-def vehicle_windows(img: np.ndarray, boxes: np.ndarray, rng: np.random.Generator) -> Iterator:
+def vehicle_windows(
+    img: np.ndarray, boxes: np.ndarray, rng: np.random.Generator, jitter: float
+) -> Iterator:
     """Yield vehicles of a frame, for the templates whose shape is near theirs."""
-    for box in np.concatenate([jittered(boxes, WINDOW_JITTER, rng) for _ in range(2)]):
+    for box in np.concatenate([jittered(boxes, jitter, rng) for _ in range(2)]):
         shape = (box[2] - box[0]) / (box[3] - box[1])
         for i, columns in enumerate(WINDOW_COLUMNS):
             if abs(np.log(shape * WINDOW_ROWS / columns)) < np.log(_SHAPE_TOLERANCE):
@@ -211,7 +211,7 @@ def train_templates(
     samples.add(crop_windows(training_set, rng))
     examples = training_set.examples
     items = with_generators(examples, seed, 2)
-    for found in in_parallel(partial(frame_windows, count=params.n_random), items, jobs, "windows"):
+    for found in in_parallel(partial(frame_windows, params=params), items, jobs, "windows"):
         samples.add(found)
     templates = samples.fit(seed, params.template_C)
     for mining in range(params.mining_rounds):

@@ -146,7 +146,7 @@ def fit_scorer(
 
     Parameters
     ----------
-    features : ndarray of float32, shape (n, N_INNER_FEATURES)
+    features : ndarray of float16, shape (n, N_SCORER_FEATURES)
         See `features.scorer_features`: the last are the margins outside of the frame.
     labels : ndarray, shape (n,)
         Positive for vehicles.

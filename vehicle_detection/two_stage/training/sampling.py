@@ -7,9 +7,7 @@ import numpy as np
 from vehicle_detection.tracking.boxes import best_iou, box_areas, pairwise_overlap
 from vehicle_detection.two_stage.refinement import move_edges
 
-# Of the edges of a box, in widths and heights: how far a window of the first stage is off, which
-# lies on a grid of cells, and how far a proposal.
-WINDOW_JITTER = 0.08
+# Of the edges of a box, in widths and heights: how far a proposal may be off.
 _PROPOSAL_JITTERS = (0.04, 0.1, 0.1)
 _LEAST_PART = 0.3
 _FARTHEST_NEIGHBOUR = 1.5

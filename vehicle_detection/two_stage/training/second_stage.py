@@ -136,7 +136,8 @@ def patch_samples(item: tuple, machines: tuple, params: TrainingParams) -> tuple
     Parameters
     ----------
     item : (Example, numpy.random.Generator)
-    machines : (templates, regressor)
+    machines : (templates, regressor, scorer)
+        With a scorer, what it is already sure of, and right, is left out; it may be None.
     params : TrainingParams
 
     Returns
@@ -145,10 +146,14 @@ def patch_samples(item: tuple, machines: tuple, params: TrainingParams) -> tuple
     labels : ndarray of int, shape (n,)
     """
     example, rng = item
+    templates, regressor, scorer = machines
     img, boxes, required = random_camera(example, rng)
-    windows, labels = clear_windows(img, boxes, required, machines, rng, params)
+    windows, labels = clear_windows(img, boxes, required, (templates, regressor), rng, params)
     planes = luma_and_chroma(degrade(cut_patches(img, windows), rng))
     features = describe_for_scorer(planes, margins_outside(windows, img.shape))
+    if scorer is not None:
+        hard = scorer.predict(features)[:, 0] * (2 * labels - 1) < params.sure_score
+        features, labels = features[hard], labels[hard]
     return features.astype(np.float16), labels
 
 
@@ -235,7 +240,7 @@ def scored_patches(examples: list, detector: Any, seed: int, params: TrainingPar
 def train_scorer(
     training_set: TrainingSet, machines: tuple, seed: int, jobs: int, params: TrainingParams
 ) -> KernelMachine:
-    """From patches to vehicle or not, a KernelMachine.
+    """From patches to vehicle or not, a KernelMachine, with one round of hard patches.
 
     Parameters
     ----------
@@ -251,12 +256,14 @@ def train_scorer(
     images = [(path, 1) for path in 2 * (training_set.crops + training_set.square_crops)]
     images += [(path, 0) for path in training_set.non_vehicles]
     of_images = partial(crop_samples, params=params)
-    of_frames = partial(patch_samples, machines=machines, params=params)
-    found = [
-        *in_parallel(of_images, with_generators(images, seed, 6), jobs, "images"),
-        *in_parallel(of_frames, with_generators(training_set.examples, seed, 7), jobs, "patches"),
-    ]
-    features, labels = map(np.concatenate, zip(*found, strict=True))
-    rng = np.random.default_rng([seed, 8])
-    chosen = rng.permutation(len(labels))[: params.most_patches]
-    return fit_scorer(features[chosen], labels[chosen], rng, params)
+    found = list(in_parallel(of_images, with_generators(images, seed, 6), jobs, "images"))
+    scorer: Any = None
+    for mining in range(2):
+        items = with_generators(training_set.examples, seed, 7, mining)
+        of_frames = partial(patch_samples, machines=(*machines, scorer), params=params)
+        found += in_parallel(of_frames, items, jobs, "patches")
+        features, labels = map(np.concatenate, zip(*found, strict=True))
+        rng = np.random.default_rng([seed, 8])
+        chosen = rng.permutation(len(labels))[: params.most_patches]
+        scorer = fit_scorer(features[chosen], labels[chosen], rng, params)
+    return scorer
