@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sklearn.svm import LinearSVC
 
 from conftest import ROOT, textured_image
 from pipeline_functions import convert_color
@@ -50,6 +51,7 @@ from vehicle_detection.two_stage.training.footage import (
 )
 from vehicle_detection.two_stage.training.kernel_machines import (
     cluster_centers,
+    fit_linear_svm,
     fit_regressor,
     fit_scorer,
     steepest_directions,
@@ -373,6 +375,17 @@ def test_regressor_and_scorer_learn_what_is_not_linear():
         assert scorer.weights.dtype == scorer.bias.dtype == np.float32
         median = np.median(scorer.predict(features[:1000])[labels[:1000] > 0])
         np.testing.assert_allclose(median, 1.5, rtol=1e-3)
+
+
+@pytest.mark.parametrize("C", [0.01, 1.0])
+def test_the_svm_is_that_of_liblinear(C):
+    rng = np.random.default_rng(4)
+    features = rng.normal(size=(600, 20)).astype(np.float32)
+    labels = (features[:, 0] + 0.5 * rng.normal(size=600) > 0.8).astype(int)
+    svm = LinearSVC(C=C, dual=False, class_weight="balanced", tol=1e-8).fit(features, labels)
+    coef, intercept = fit_linear_svm(features, labels, C)
+    np.testing.assert_allclose(coef, svm.coef_[0], atol=2e-3)
+    assert intercept == pytest.approx(svm.intercept_[0], abs=2e-3)
 
 
 def test_regressor_looks_past_what_differs_more():
