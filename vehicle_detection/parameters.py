@@ -320,7 +320,7 @@ class ScanParams:
     reference_width: float = 1280
     ratio: float = 1.25
     cells_per_step: int = 2
-    n_groups: int = 4
+    n_groups: int = 3
     threshold: float = 0.0
     n_proposals: int = 16
     overlap: float = 0.5
