@@ -278,6 +278,10 @@ def draw_growth(figures):
         axis.plot(list(times), list(times.values()), marker="o")
         scale = "symlog" if 0 in times else "log"
         axis.set(xlabel=name, ylabel="milliseconds", xscale=scale, yscale="log")
+        axis.set_xticks(list(times), [f"{x:,}" for x in times], rotation=30)
+        axis.set_ylim(1, 2 * max(times.values()))
+        axis.minorticks_off()
+        axis.yaxis.set_major_formatter("{x:g}")
         axis.grid(which="both", alpha=0.3)
     return figure
 
