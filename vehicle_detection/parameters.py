@@ -617,7 +617,7 @@ class TrainingParams:
     vehicle_score : float
         Median score of the vehicles that were learned from.
     most_patches : int
-        That the scorer is fitted to, at random among all: each takes 50 kB of memory.
+        That the scorer is fitted to, at random among all: each takes a number a center in memory.
     sure_score : float
         A patch that is scored right by more than this teaches nothing new.
     n_principal, n_gradients : int

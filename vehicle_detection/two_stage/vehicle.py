@@ -40,7 +40,7 @@ class Detections:
     candidate_scores : ndarray of float, shape (m,)
         Decision function of each, less what it loses on the road, see `road.misplacement`.
     track_scores : ndarray of float, shape (m,)
-        Accumulated score of the track of each candidate, 0 for none.
+        Accumulated score of the track of each candidate, 0 for none, 0 or less for a lost one.
     boxes : ndarray of int, shape (k, 4)
         Vehicles.
     scores : ndarray of float, shape (k,)

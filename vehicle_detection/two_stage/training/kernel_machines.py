@@ -186,8 +186,7 @@ def fit_scorer(
 def fit_linear_svm(features: np.ndarray, labels: np.ndarray, C: float) -> tuple:
     """Linear SVM with squared hinge loss and balanced classes, in the primal [1]_.
 
-    The problem of `sklearn.svm.LinearSVC`, which copies the features to 24 bytes a number:
-    here they stay at four.
+    The problem of `sklearn.svm.LinearSVC`, which copies the features in double precision.
 
     Parameters
     ----------

@@ -173,8 +173,8 @@ def clear_windows(
     labels : ndarray of int, shape (n,)
     """
     templates, regressor = machines
-    windows = candidates(img, boxes, required, templates, rng)
-    windows = move_boxes(img, windows, regressor)
+    proposed = candidates(img, boxes, required, templates, rng)
+    windows = move_boxes(img, proposed, regressor)
     iou = best_iou(windows, boxes[required])
     # A part of a vehicle is none, or it would be found beside the whole.
     is_other = (iou < params.background_iou) & is_background(windows, boxes[~required], 0.3, 0.5)
