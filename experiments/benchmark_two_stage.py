@@ -16,9 +16,7 @@ from experiments.timing import alternately, milliseconds, once
 from rendered_road.render import Actor, make_world, render
 from vehicle_detection.two_stage.features import (
     cut_patches,
-    describe_for_regressor,
-    describe_for_scorer,
-    luma_and_chroma,
+    describe_patches,
     margins_outside,
 )
 from vehicle_detection.two_stage.proposals import level_groups, propose
@@ -45,18 +43,14 @@ def stages(frames, detector):
     groups = cycle(level_groups(frame.shape[:2], scan, where))
     outside = margins_outside(proposals, frame.shape)
     patches = cut_patches(frame, proposals)
-    planes = luma_and_chroma(patches)
-    for_regressor = describe_for_regressor(planes, outside)
-    for_scorer = describe_for_scorer(planes, outside)
+    features = describe_patches(patches, outside)
     calls = {
         "first stage": lambda: propose(frame, next(groups), learned.templates, scan),
         "second stage": lambda: refine(frame, proposals, learned),
-        "of it, patches, each time": lambda: cut_patches(frame, proposals),
-        "of it, colour, each time": lambda: luma_and_chroma(patches),
-        "of it, cells for the regressor": lambda: describe_for_regressor(planes, outside),
-        "of it, regressor": lambda: learned.regressor.predict(for_regressor),
-        "of it, cells for the scorer": lambda: describe_for_scorer(planes, outside),
-        "of it, scorer": lambda: learned.scorer.predict(for_scorer),
+        "of it, patches": lambda: cut_patches(frame, proposals),
+        "of it, features": lambda: describe_patches(patches, outside),
+        "of it, scorer": lambda: learned.scorer.predict(features),
+        "of it, regressor": lambda: learned.regressor.predict(features),
     }
     # As `refine` does.
     with threadpool_limits(1, "blas"):

@@ -12,13 +12,9 @@ from sklearn.svm import SVC, LinearSVC
 from vehicle_detection.classifier import Classifier, save_classifier
 from vehicle_detection.media.videos import VideoInfo, video_writer
 from vehicle_detection.parameters import FEATURE_PRESETS, FeatureParams
-from vehicle_detection.two_stage.features import (
-    CELL_FEATURES,
-    N_REGRESSOR_FEATURES,
-    N_SCORER_FEATURES,
-)
-from vehicle_detection.two_stage.model import Detector, KernelMachine, Template
-from vehicle_detection.two_stage.proposals import WINDOW_COLUMNS, WINDOW_ROWS
+from vehicle_detection.two_stage.features import CELL_FEATURES, N_FEATURES
+from vehicle_detection.two_stage.model import Detector, KernelMachine, LinearRegressor, Template
+from vehicle_detection.two_stage.proposals import WINDOW_COLUMNS, WINDOW_CONTEXT, WINDOW_ROWS
 
 ROOT = Path(__file__).parent.parent
 SHARED = ROOT.parent / "shared"
@@ -69,27 +65,31 @@ def random_detector(seed):
     """A two-stage detector with random weights, whose scores lie on both sides of zero."""
     rng = np.random.default_rng(seed)
 
-    def machine(n_features, n_outputs, size):
-        projection, offset, centers, weights, bias = (
-            rng.normal(0, scale, shape).astype(np.float32)
-            for scale, shape in (
-                (0.05, (20, n_features)),
-                (0.1, 20),
-                (0.5, (30, 20)),
-                (size, (n_outputs, 30)),
-                (0.01, n_outputs),
-            )
-        )
-        # What all patches have in common adds nothing.
-        weights -= weights.mean(axis=1, keepdims=True)
-        return KernelMachine(projection, offset, centers, weights, bias, gamma=0.1)
+    def normal(scale, *shape):
+        return rng.normal(0, scale, shape).astype(np.float32)
 
+    around = 2 * WINDOW_CONTEXT
     templates = tuple(
-        Template(rng.normal(0, 0.05, (WINDOW_ROWS, columns, CELL_FEATURES)).astype(np.float32), 0.0)
+        Template(
+            weights=normal(0.05, WINDOW_ROWS, columns, CELL_FEATURES),
+            bias=0.0,
+            shift_weights=normal(0.002, WINDOW_ROWS + around, columns + around, CELL_FEATURES, 4),
+            shift_bias=normal(0.01, 4),
+        )
         for columns in WINDOW_COLUMNS
     )
+    weights = normal(1.0, 30)
+    scorer = KernelMachine(
+        projection=normal(0.05, 20, N_FEATURES),
+        offset=normal(0.1, 20),
+        centers=normal(0.5, 30, 20),
+        # What all patches have in common adds nothing.
+        weights=weights - weights.mean(),
+        bias=float(rng.normal(0, 0.01)),
+        gamma=0.1,
+    )
     return Detector(
-        templates, machine(N_SCORER_FEATURES, 1, 1.0), machine(N_REGRESSOR_FEATURES, 4, 0.02)
+        templates, scorer, LinearRegressor(normal(0.002, N_FEATURES, 4), normal(0.01, 4))
     )
 
 

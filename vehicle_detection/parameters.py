@@ -602,6 +602,8 @@ class TrainingParams:
     window_jitter : float
         Standard deviation of the edges of a vehicle's window, in widths and heights. The first
         stage's windows lie on a grid of cells, and are off by up to half a step.
+    shift_jitter : float
+        The same of the windows from which the edges of vehicles are sought.
     vehicle_iou, background_iou : float
         A box that overlaps a vehicle by more than the first is one, by less than the second
         is background; what lies between teaches neither.
@@ -609,25 +611,23 @@ class TrainingParams:
         Of hard negatives of the first stage.
     n_random : int
         Windows of background a frame and template, at random places.
-    template_C, scorer_C, ridge_alpha : float
+    template_C, scorer_C, shift_alpha : float
         Regularisation.
-    scorer_size, regressor_size : (int, int)
-        Components of patches, and centers. What is a vehicle shows in more details than where
-        its edges are, but there are more places for edges.
+    scorer_size : (int, int)
+        Components of patches, and centers.
     vehicle_score : float
         Median score of the vehicles that were learned from.
     most_patches : int
         That the scorer is fitted to, at random among all: each takes a number a center in memory.
     sure_score : float
         A patch that is scored right by more than this teaches nothing new.
-    n_principal, n_gradients : int
-        Principal components, and patches, among which the regressor's components are found.
     """
 
     per_camera: int = 250
     most_repeats: int = 6
     crop_views: int = 8
     window_jitter: float = 0.08
+    shift_jitter: float = 0.1
     vehicle_iou: float = 0.6
     background_iou: float = 0.4
     mining_rounds: int = 2
@@ -635,14 +635,11 @@ class TrainingParams:
     n_random: int = 6
     template_C: float = 5e-4
     scorer_C: float = 0.1
-    ridge_alpha: float = 1.0
+    shift_alpha: float = 3000.0
     scorer_size: tuple = (200, 4000)
-    regressor_size: tuple = (64, 3000)
     vehicle_score: float = 1.5
     most_patches: int = 100_000
     sure_score: float = 0.5
-    n_principal: int = 600
-    n_gradients: int = 12_000
 
     def __post_init__(self):
         if min(self.per_camera, self.most_repeats, self.crop_views) < 1:

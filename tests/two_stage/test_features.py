@@ -13,25 +13,20 @@ from pipeline_functions import convert_color
 from vehicle_detection.compiled.hog import cell_histograms
 from vehicle_detection.two_stage.features import (
     CELL_FEATURES,
-    CHROMA_FEATURES,
     N_BORDERS,
-    N_REGRESSOR_FEATURES,
-    N_SCORER_FEATURES,
+    N_FEATURES,
     ORIENTATIONS,
     PATCH_CELL,
     PATCH_CELLS,
     PATCH_MARGIN,
     PATCH_SIDE,
-    chroma_features,
     cut_out,
     cut_patches,
+    describe_patches,
     luma_and_chroma,
     margins_outside,
     on_whole_pixels,
-    patch_features,
-    regressor_features,
     relative_colors,
-    scorer_features,
 )
 from vehicle_detection.two_stage.proposals import cell_features
 
@@ -81,69 +76,48 @@ def lengths_of(img, cell):
     return np.linalg.norm(cell_histograms(img, ORIENTATIONS, cell), axis=-1)
 
 
-def test_patches_hold_hog_and_relative_colours():
+def described(img, boxes):
+    """Cells of boxes, shape (n, PATCH_SIDE, PATCH_SIDE, CELL_FEATURES), and their borders."""
+    outside = margins_outside(boxes, img.shape)
+    features = describe_patches(cut_patches(img, boxes), outside)
+    assert features.shape == (len(boxes), N_FEATURES) and features.dtype == np.float32
+    shape = len(boxes), PATCH_SIDE, PATCH_SIDE, CELL_FEATURES
+    return features[:, :-N_BORDERS].reshape(shape), features[:, -N_BORDERS:]
+
+
+def test_patches_hold_hog_relative_colours_and_borders():
     img = textured_image(2, 240, 320)
     boxes = on_whole_pixels(np.array([(30.0, 40, 30 + SIDE, 40 + SIDE), (100.5, 60.2, 330, 170)]))
-    patches = cut_patches(img, boxes)
-    planes = luma_and_chroma(patches)
-    luma, contrast = patch_features(planes)
-    chroma = chroma_features(planes, contrast)
-    assert luma.shape == (2, PATCH_SIDE, PATCH_SIDE, CELL_FEATURES)
-    assert chroma.shape == (2, PATCH_SIDE, PATCH_SIDE, CHROMA_FEATURES)
-    hog = np.concatenate([luma[..., :ORIENTATIONS], chroma], axis=-1)
-    colors = luma[..., ORIENTATIONS:]
-    for box, own_hog, own_colors, own_patch in zip(boxes, hog, colors, patches, strict=True):
+    cells, borders = described(img, boxes)
+    np.testing.assert_array_equal(borders, margins_outside(boxes, img.shape))
+    assert borders[1, 2] == 1
+    for box, own_cells, own_patch in zip(boxes, cells, cut_patches(img, boxes), strict=True):
         margin = np.tile(box[2:] - box[:2], 2) / PATCH_CELLS * (-1, -1, 1, 1)
         size = PATCH_SIDE * PATCH_CELL, PATCH_SIDE * PATCH_CELL
         patch = cut_out(img, (box + margin).round().astype(int), size)
         np.testing.assert_array_equal(own_patch, patch)
         patch = convert_color(patch, "YCrCb")
-        # Chroma at half the size, each pixel the mean of four, halves rounded up.
-        fours = patch.reshape(PATCH_SIDE * PATCH_CELL // 2, 2, -1, 2, 3).sum(axis=(1, 3))
-        halved = ((fours + 2) // 4).astype(np.uint8)
-        sources = (patch, PATCH_CELL), (halved, PATCH_CELL // 2), (halved, PATCH_CELL // 2)
-        luma_length = lengths_of(patch, PATCH_CELL)[0].mean()
-        for channel, own in enumerate(np.split(own_hog**2, 3, axis=-1)):
-            source, cell = sources[channel]
-            lengths, units = lengths_and_units(own)
-            expected = unit_histograms(source[..., channel], cell)
-            np.testing.assert_allclose(units, expected, atol=1e-5)
-            # All of them are held against the luma.
-            raw = lengths_of(source, cell)[channel]
-            expected = raw / np.hypot(raw, luma_length)
-            np.testing.assert_allclose(lengths, expected, atol=1e-5)
-        cells = patch.reshape(PATCH_SIDE, PATCH_CELL, PATCH_SIDE, PATCH_CELL, 3).mean(axis=(1, 3))
-        cells = cells / 255 - cells[1:-1, 1:-1].mean(axis=(0, 1)) / 255
-        spread = np.hypot(cells[1:-1, 1:-1, 0].std(), 0.03)
+        lengths, units = lengths_and_units(own_cells[..., :ORIENTATIONS] ** 2)
+        expected = unit_histograms(patch[..., 0], PATCH_CELL)
+        np.testing.assert_allclose(units, expected, atol=1e-5)
+        raw = lengths_of(patch[..., :1], PATCH_CELL)[0]
+        np.testing.assert_allclose(lengths, raw / np.hypot(raw, raw.mean()), atol=1e-5)
+        means = patch.reshape(PATCH_SIDE, PATCH_CELL, PATCH_SIDE, PATCH_CELL, 3).mean(axis=(1, 3))
+        means = means / 255 - means[1:-1, 1:-1].mean(axis=(0, 1)) / 255
+        spread = np.hypot(means[1:-1, 1:-1, 0].std(), 0.03)
+        colors = own_cells[..., ORIENTATIONS:]
         # Means of cells are whole numbers.
-        np.testing.assert_allclose(spread * own_colors[..., 0], cells[..., 0], atol=0.004)
-        np.testing.assert_allclose(own_colors[..., 1:], cells[..., 1:], atol=0.004)
-
-
-def test_what_tells_vehicles_and_what_tells_edges():
-    rng = np.random.default_rng(0)
-    luma, chroma = (
-        rng.normal(size=(2, PATCH_SIDE, PATCH_SIDE, n)) for n in (CELL_FEATURES, CHROMA_FEATURES)
-    )
-    outside = rng.random((2, N_BORDERS))
-    every = np.concatenate([luma, chroma], axis=-1).reshape(2, N_REGRESSOR_FEATURES - N_BORDERS)
-    np.testing.assert_array_equal(
-        regressor_features(luma, chroma, outside), np.hstack([every, outside])
-    )
-    own = luma.reshape(2, N_SCORER_FEATURES - N_BORDERS)
-    np.testing.assert_array_equal(scorer_features(luma, outside), np.hstack([own, outside]))
+        np.testing.assert_allclose(spread * colors[..., 0], means[..., 0], atol=0.004)
+        np.testing.assert_allclose(colors[..., 1:], means[..., 1:], atol=0.004)
 
 
 def test_no_patches_have_no_features():
-    patches = cut_patches(textured_image(2, 24, 32), np.empty((0, 4)))
+    img, none = textured_image(2, 24, 32), np.empty((0, 4))
     side = PATCH_SIDE * PATCH_CELL
-    assert patches.shape == (0, side, side, 3)
-    planes = luma_and_chroma(patches)
-    assert planes.shape == (3, 0, side, side)
-    luma, contrast = patch_features(planes)
-    assert luma.shape == (0, PATCH_SIDE, PATCH_SIDE, CELL_FEATURES) and contrast.shape == (0,)
-    chroma = chroma_features(planes, contrast)
-    assert chroma.shape == (0, PATCH_SIDE, PATCH_SIDE, CHROMA_FEATURES)
+    assert cut_patches(img, none).shape == (0, side, side, 3)
+    assert luma_and_chroma(cut_patches(img, none)).shape == (3, 0, side, side)
+    cells, borders = described(img, none)
+    assert len(cells) == len(borders) == 0
 
 
 def as_planes(patches):
@@ -176,8 +150,7 @@ def test_faint_noise_stays_small_and_exposure_changes_no_gradient(describe):
     def gradients(img):
         if describe == "window":
             return cell_features(img)[..., :ORIENTATIONS]
-        patches = cut_patches(img, np.array([[16.0, 16, 144, 144]]))
-        return patch_features(luma_and_chroma(patches))[0][0, ..., :ORIENTATIONS] ** 2
+        return described(img, np.array([[16.0, 16, 144, 144]]))[0][0, ..., :ORIENTATIONS] ** 2
 
     plain, lengths = (np.linalg.norm(gradients(x), axis=2) for x in (img, noisy))
     at_edge = plain > 0.3

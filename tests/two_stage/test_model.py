@@ -17,7 +17,8 @@ from vehicle_detection.two_stage.model import (
     load_detector,
     save_detector,
 )
-from vehicle_detection.two_stage.refinement import move_edges, refine
+from vehicle_detection.two_stage.proposals import move_edges
+from vehicle_detection.two_stage.refinement import refine
 
 
 def refined(img, boxes, detector):
@@ -30,18 +31,14 @@ def refined(img, boxes, detector):
 @given(count=st.integers(0, 6), seed=st.integers(0, 1000))
 def test_kernel_machine_is_a_sum_of_gaussians(count, seed):
     rng = np.random.default_rng(seed)
-    arrays = [
-        rng.normal(size=shape).astype(np.float32) for shape in ((7, 30), 7, (50, 7), (4, 50), 4)
-    ]
-    machine = KernelMachine(*arrays, gamma=0.05)
+    arrays = [rng.normal(size=shape).astype(np.float32) for shape in ((7, 30), 7, (50, 7), 50)]
+    machine = KernelMachine(*arrays, bias=0.3, gamma=0.05)
     features = rng.normal(size=(count, 30)).astype(np.float32)
-    projection, offset, centers, weights, bias = arrays
-    expected = bias + (
-        rbf_kernel(features @ projection.T + offset, centers, 0.05) @ weights.T if count else 0
-    )
-    np.testing.assert_allclose(
-        machine.predict(features), np.broadcast_to(expected, (count, 4)), atol=1e-3
-    )
+    projection, offset, centers, weights = arrays
+    expected = np.empty(0)
+    if count:
+        expected = 0.3 + rbf_kernel(features @ projection.T + offset, centers, 0.05) @ weights
+    np.testing.assert_allclose(machine.predict(features), expected, atol=1e-3)
 
 
 def test_a_detector_is_read_as_it_was_written(tmp_path):
@@ -50,6 +47,8 @@ def test_a_detector_is_read_as_it_was_written(tmp_path):
     loaded = load_detector(tmp_path / "detector.npz")
     for old, new in zip(detector.templates, loaded.templates, strict=True):
         np.testing.assert_array_equal(old.weights, new.weights)
+        np.testing.assert_allclose(old.shift_weights, new.shift_weights, atol=1e-5)
+        np.testing.assert_array_equal(old.shift_bias, new.shift_bias)
         assert old.bias == pytest.approx(new.bias)
     img, boxes = textured_image(4, 240, 320), random_boxes(np.random.default_rng(0), 5)
     for old, new in zip(refined(img, boxes, detector), refined(img, boxes, loaded), strict=True):
@@ -70,10 +69,12 @@ def test_what_is_no_detector_is_named(tmp_path):
         with pytest.raises(ValueError, match=r"detector\.npz: not a detector"):
             load_detector(path)
     good = random_detector(1)
-    other = replace(good, scorer=good.regressor)
-    save_detector(other, path)
-    with pytest.raises(ValueError, match="an array of"):
-        load_detector(path)
+    short = replace(good.regressor, weights=good.regressor.weights[1:])
+    swapped = good.templates[::-1]
+    for other in (replace(good, regressor=short), replace(good, templates=swapped)):
+        save_detector(other, path)
+        with pytest.raises(ValueError, match="an array of"):
+            load_detector(path)
     np.savez(path, format_version=0)
     with pytest.raises(ValueError, match=f"format 0, not {FORMAT_VERSION}"):
         load_detector(path)
@@ -89,7 +90,7 @@ def test_what_is_no_detector_is_named(tmp_path):
         ("scorer", "gamma", 0.0, "not above 0"),
         ("scorer", "gamma", np.inf, "not finite"),
         ("regressor", "bias", 1e30, "huge"),
-        ("regressor", "centers", -np.inf, "not finite"),
+        ("scorer", "centers", -np.inf, "not finite"),
     ],
 )
 def test_impossible_numbers_are_refused(tmp_path, part, name, value, message):

@@ -25,14 +25,28 @@ from vehicle_detection.two_stage.model import Template
 from vehicle_detection.two_stage.proposals import (
     SURROUNDINGS,
     WINDOW_CELL,
+    WINDOW_CONTEXT,
     WINDOW_ROWS,
     cell_features,
     level_groups,
     propose,
     suppress,
     window_scores,
+    window_shifts,
 )
 from vehicle_detection.two_stage.road import Reach
+
+
+def still_template(weights, bias):
+    """A template that moves no edges."""
+    rows, columns, _ = weights.shape
+    shape = rows + 2 * WINDOW_CONTEXT, columns + 2 * WINDOW_CONTEXT, CELL_FEATURES, 4
+    return Template(weights, bias, np.zeros(shape, np.float32), np.zeros(4, np.float32))
+
+
+def still_templates(seed):
+    """Random templates that move no edges."""
+    return tuple(still_template(t.weights, t.bias) for t in random_detector(seed).templates)
 
 
 def anywhere(n_rows):
@@ -95,9 +109,42 @@ def test_levels_cover_what_is_within_reach():
 
 
 @settings(max_examples=20)
+@given(row=st.integers(0, 12), column=st.integers(0, 24), template=st.integers(0, 3))
+def test_a_window_is_moved_by_its_cells_and_those_around(row, column, template):
+    cells = cell_features(textured_image(5, 80, 160))
+    learned = random_detector(1).templates[template]
+    (shift,) = window_shifts(cells, np.array([[column, row]]), learned)
+    padded = np.pad(cells, ((3, 3), (3, 3), (0, 0)), mode="edge")
+    rows, columns = learned.shift_weights.shape[:2]
+    own = padded[row : row + rows, column : column + columns]
+    if own.shape[:2] == (rows, columns):
+        expected = np.einsum("rcf,rcfk->k", own, learned.shift_weights) + learned.shift_bias
+        np.testing.assert_allclose(shift, expected, atol=1e-4)
+
+
+def test_proposals_are_windows_that_were_moved():
+    img, templates = textured_image(2, 90, 400), random_detector(2).templates
+    scan = ScanParams(
+        smallest=150, largest=150, cells_per_step=1, n_groups=1, threshold=-np.inf,
+        n_proposals=3,
+    )  # fmt: skip
+    ((level,),) = level_groups(img.shape[:2], scan, anywhere(90))
+    moved, scores = propose(img, [level], templates, scan)
+    still = still_templates(2)
+    windows, own_scores = propose(img, [level], still, scan)
+    np.testing.assert_array_equal(scores, own_scores)
+    to_right = tuple(replace(t, shift_bias=np.float32([0.1, 0, 0.1, 0])) for t in still)
+    aside, _ = propose(img, [level], to_right, scan)
+    width = windows[:, 2] - windows[:, 0]
+    np.testing.assert_allclose(aside[:, ::2], windows[:, ::2] + 0.1 * width[:, None], rtol=1e-5)
+    np.testing.assert_allclose(aside[:, 1::2], windows[:, 1::2])
+    assert not np.allclose(moved, windows)
+
+
+@settings(max_examples=20)
 @given(n_proposals=st.integers(1, 6), seed=st.integers(0, 1000))
 def test_the_best_windows_are_proposed(n_proposals, seed):
-    img, templates = textured_image(seed, 90, 400), random_detector(seed).templates
+    img, templates = textured_image(seed, 90, 400), still_templates(seed)
     scan = ScanParams(
         smallest=150, largest=150, cells_per_step=1, n_groups=1, threshold=-np.inf,
         n_proposals=300,
@@ -170,7 +217,7 @@ def test_window_scores_are_products_at_every_place(rows, columns, width, step, s
     rng = np.random.default_rng(seed)
     features = rng.normal(size=(rows, columns, CELL_FEATURES)).astype(np.float32)
     weights = rng.normal(size=(WINDOW_ROWS, width, CELL_FEATURES)).astype(np.float32)
-    scores = window_scores(features, Template(weights, 0.5), step)
+    scores = window_scores(features, still_template(weights, 0.5), step)
     places = (
         range(0, max(0, side), step) for side in (rows - WINDOW_ROWS + 1, columns - width + 1)
     )
@@ -194,7 +241,7 @@ def test_a_window_is_proposed_where_its_pixels_are():
     row, column = (170 - level.top) // WINDOW_CELL, 300 // WINDOW_CELL
     level_cells = cell_features(strip)
     wanted = level_cells[row : row + WINDOW_ROWS, column : column + 11]
-    template = Template(wanted - level_cells.mean(axis=(0, 1)), 0.0)
+    template = still_template(wanted - level_cells.mean(axis=(0, 1)), 0.0)
     (box,), _ = propose(img, [level], (template,), scan)
     np.testing.assert_allclose(box, (300, 170, 344, 202), atol=WINDOW_CELL)
 

@@ -2,16 +2,19 @@
 
 import subprocess
 import sys
-from functools import partial
 
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sklearn.kernel_approximation import Nystroem
+from sklearn.linear_model import Ridge
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 
-from conftest import ROOT, textured_image
+from conftest import ROOT, random_detector, textured_image
 from pipeline_functions import convert_color
 from rendered_road.render import render
 from rendered_road.sample import random_scene, truth_rows
@@ -25,12 +28,14 @@ from vehicle_detection.parameters import (
     TrainingParams,
 )
 from vehicle_detection.tracking.boxes import best_iou, pairwise_iou, pairwise_overlap
-from vehicle_detection.two_stage.features import (
-    N_REGRESSOR_FEATURES,
-    margins_outside,
-    on_whole_pixels,
+from vehicle_detection.two_stage.features import CELL_FEATURES, margins_outside, on_whole_pixels
+from vehicle_detection.two_stage.proposals import (
+    WINDOW_CELL,
+    WINDOW_COLUMNS,
+    WINDOW_CONTEXT,
+    WINDOW_ROWS,
+    cell_features,
 )
-from vehicle_detection.two_stage.proposals import WINDOW_CELL, WINDOW_ROWS, cell_features
 from vehicle_detection.two_stage.training import second_stage
 from vehicle_detection.two_stage.training.__main__ import train_detector
 from vehicle_detection.two_stage.training.augmentation import (
@@ -40,7 +45,12 @@ from vehicle_detection.two_stage.training.augmentation import (
     random_camera,
     random_crop,
 )
-from vehicle_detection.two_stage.training.first_stage import fit_template, window_features
+from vehicle_detection.two_stage.training.first_stage import (
+    context_shape,
+    fit_template,
+    window_features,
+    with_shifts,
+)
 from vehicle_detection.two_stage.training.footage import (
     Example,
     TrainingSet,
@@ -49,21 +59,29 @@ from vehicle_detection.two_stage.training.footage import (
     read_cameras,
     read_footage,
 )
-from vehicle_detection.two_stage.training.kernel_machines import (
+from vehicle_detection.two_stage.training.machines import (
     cluster_centers,
     fit_linear_svm,
     fit_regressor,
     fit_scorer,
-    steepest_directions,
+    kernel_factor,
+    kernel_map,
 )
 from vehicle_detection.two_stage.training.sampling import (
+    PatchSamples,
     cut_by_border,
+    edge_shifts,
     is_background,
     jittered,
     neighbours,
     random_parts,
+    windows_around,
 )
-from vehicle_detection.two_stage.training.second_stage import crop_edge_samples, train_regressor
+from vehicle_detection.two_stage.training.second_stage import (
+    boxed_crop_samples,
+    frame_boxes,
+    frame_samples,
+)
 from vehicle_detection.two_stage.vehicle import TwoStageVehicle
 
 TRAIN = [sys.executable, "-m", "vehicle_detection.two_stage.training"]
@@ -299,6 +317,32 @@ def test_every_border_cuts():
     assert set(sides) == {0, 1, 2, 3}
 
 
+@given(n=st.integers(0, 6), m=st.integers(0, 3), seed=st.integers(0, 1000))
+def test_shifts_lead_to_the_nearest_vehicle(n, m, seed):
+    boxes, vehicles = boxes_of(seed, n), boxes_of(seed + 1, m)
+    shifts = edge_shifts(boxes, vehicles, 0.2)
+    iou = pairwise_iou(boxes, vehicles)
+    assert shifts.shape == (n, 4)
+    for box, shift, own in zip(boxes, shifts, iou, strict=True):
+        if own.max(initial=0) > 0.2:
+            width, height = box[2:] - box[:2]
+            moved = box + shift * (width, height, width, height)
+            np.testing.assert_allclose(moved, vehicles[own.argmax()])
+        else:
+            assert np.isnan(shift).all()
+
+
+@given(count=st.integers(0, 6), shape=st.floats(0.5, 2), seed=st.integers(0, 1000))
+def test_windows_around_boxes_have_one_shape_and_their_size(count, shape, seed):
+    boxes, rng = boxes_of(seed, count), np.random.default_rng(seed)
+    still = windows_around(boxes, shape, 0.0, rng)
+    width, height = (still[:, 2:] - still[:, :2]).T
+    np.testing.assert_allclose(width, shape * height)
+    np.testing.assert_allclose(width * height, (boxes[:, 2:] - boxes[:, :2]).prod(axis=1))
+    np.testing.assert_allclose(still[:, :2] + still[:, 2:], boxes[:, :2] + boxes[:, 2:])
+    assert (np.diagonal(pairwise_iou(windows_around(boxes, shape, 0.03, rng), still)) > 0.7).all()
+
+
 def crop_of(box, seed=0):
     img = textured_image(seed, 64, 64)
     return Example(img, np.array([box], float), np.array([True]), np.ones(1))
@@ -312,25 +356,36 @@ def test_a_crop_ends_only_where_it_cuts_the_vehicle(monkeypatch, box, ends):
     monkeypatch.setattr(second_stage, "with_moved_edges", lambda *_: np.tile(moved, (3, 1)))
     monkeypatch.setattr(second_stage, "random_camera", lambda e, _: (e.read(), e.boxes, e.required))
     item = crop_of(box), np.random.default_rng(0)
-    features, shifts = crop_edge_samples(item, DEFAULT_TRAINING)
+    samples = boxed_crop_samples(item, DEFAULT_TRAINING)
     windows = on_whole_pixels(np.tile(moved, (3, 1)))
     size = np.tile(windows[:, 2:] - windows[:, :2], 2)
-    np.testing.assert_allclose(windows + shifts * size, np.tile(box, (9, 1)))
+    np.testing.assert_allclose(windows + samples.shifts * size, np.tile(box, (9, 1)))
     outside = margins_outside(windows, (64, 64))
     # All margins lie outside of the picture on the left, some of them below and on the right.
     assert (outside[:, 0] > 0).all() and (outside[:, 2:].max(axis=0) > 0).all()
-    np.testing.assert_allclose(features[:, -4:], outside * ends, atol=1e-3)
+    np.testing.assert_allclose(samples.features[:, -4:], outside * ends, atol=1e-3)
+    # It tells edges, and nothing of what is no vehicle.
+    assert (samples.labels == -1).all()
 
 
-def test_every_boxed_crop_is_looked_at_eight_times(monkeypatch):
-    monkeypatch.setattr(second_stage, "fit_regressor", lambda *samples: samples)
-    crops = [crop_of((6, 8, 58, 60), seed) for seed in range(3)]
-    training_set = TrainingSet([], [], [], crops, [])
-    features, shifts, *_ = train_regressor(training_set, (), 0, 1, DEFAULT_TRAINING)
-    assert features.shape[1] == N_REGRESSOR_FEATURES and len(features) == len(shifts)
-    # Three windows each; of some the cut frame leaves too little.
-    assert 0.6 * 72 < len(features) <= 72
-    assert len(np.unique(features, axis=0)) == len(features)
+def test_a_frame_teaches_vehicles_background_and_edges(scenes, detector):
+    (example,) = read_footage(scenes / "train", scenes / "train.txt", "3:3")
+    templates = detector.templates
+    item = example, np.random.default_rng(5)
+    img, boxes, labels, shifts = frame_boxes(item, templates, SMALL)
+    assert {0, 1} <= set(labels.tolist()) <= {-1, 0, 1}
+    seen, vehicles, required = random_camera(example, np.random.default_rng(5))
+    np.testing.assert_array_equal(img, seen)
+    iou = best_iou(boxes, vehicles[required])
+    assert (iou[labels == 1] > SMALL.vehicle_iou).all()
+    assert (iou[labels == 0] < SMALL.background_iou).all()
+    np.testing.assert_array_equal(np.isnan(shifts[:, 0]), iou <= SMALL.background_iou)
+    samples = frame_samples((example, np.random.default_rng(5)), templates, None, SMALL)
+    np.testing.assert_array_equal(samples.labels, labels)
+    hard = frame_samples((example, np.random.default_rng(5)), templates, detector.scorer, SMALL)
+    scores = detector.scorer.predict(hard.features.astype(np.float32))
+    assert (scores * (2 * hard.labels - 1) < SMALL.sure_score + 0.02).all()
+    assert 0 < len(hard.labels) < (labels >= 0).sum()
 
 
 # ------------------------------------------------------------------- fitting
@@ -344,6 +399,31 @@ def test_a_window_that_lies_on_cells_has_the_cells_of_the_frame():
     np.testing.assert_allclose(own, cells[8:16, 10:18], atol=1e-6)
 
 
+def test_a_window_with_its_context_has_the_cells_around_it():
+    img = textured_image(3, 120, 200)
+    size = WINDOW_ROWS * WINDOW_CELL
+    box = (60, 40, 60 + size, 40 + size)
+    around = window_features(img, box, WINDOW_ROWS, WINDOW_CONTEXT)
+    assert around.shape == (*context_shape(WINDOW_ROWS), CELL_FEATURES)
+    np.testing.assert_allclose(around, cell_features(img)[7:21, 12:26], atol=1e-6)
+
+
+def test_templates_move_edges_by_what_was_found():
+    rng, templates = np.random.default_rng(0), random_detector(0).templates
+    samples = []
+    for i in np.repeat(range(4), 60):
+        cells = rng.random((*context_shape(WINDOW_COLUMNS[i]), CELL_FEATURES))
+        samples.append((i, cells.astype(np.float16), 0.1 * i + 0.2 * cells[1, 2, :4]))
+    moving = with_shifts(templates, samples, alpha=1.0)
+    for i, cells, shift in samples:
+        found = np.tensordot(cells.astype(float), moving[i].shift_weights, 3) + moving[i].shift_bias
+        np.testing.assert_allclose(found, shift, atol=0.02)
+    for old, new in zip(templates, moving, strict=True):
+        np.testing.assert_array_equal(old.weights, new.weights)
+    with pytest.raises(ValueError, match="give more footage"):
+        with_shifts(templates, samples[:60], alpha=1.0)
+
+
 def test_a_template_folds_its_scaling():
     rng = np.random.default_rng(0)
     features = rng.normal(4, 3, size=(60, WINDOW_ROWS * 8 * 2)).astype(np.float32)
@@ -351,30 +431,53 @@ def test_a_template_folds_its_scaling():
     template = fit_template(features, labels, 8, C=1.0, seed=0)
     scores = (features * template.weights.ravel()).sum(axis=1) + template.bias
     assert template.weights.shape == (WINDOW_ROWS, 8, 2)
+    assert not template.shift_weights.any() and not template.shift_bias.any()
     assert ((scores > 0) == labels).mean() > 0.95
 
 
-def test_regressor_and_scorer_learn_what_is_not_linear():
+def samples_of(features, labels, shifts):
+    return PatchSamples(features.astype(np.float16), labels, shifts)
+
+
+def test_the_scorer_learns_what_is_not_linear():
     rng = np.random.default_rng(0)
     x, y = rng.normal(size=(2, 1500, 1))
     features = np.repeat(np.hstack([x, y]), 150, axis=1) + rng.normal(0, 0.1, size=(1500, 300))
     features = features.astype(np.float32)
-    radius = np.hypot(x, y)[:, 0]
-    shifts = np.stack([radius, -radius], axis=1) / 10
-    machine = fit_regressor(
-        features[:1000], shifts[:1000], np.random.default_rng(1), DEFAULT_TRAINING
-    )
-    error = np.abs(machine.predict(features[1000:]) - shifts[1000:]).mean()
-    assert error < 0.3 * np.abs(shifts[1000:] - shifts.mean(axis=0)).mean()
-    labels = (radius > 1.2).astype(int)
-    fit = partial(fit_scorer, features[:1000], labels[:1000])
-    scorer = fit(np.random.default_rng(1), DEFAULT_TRAINING)
-    assert ((scorer.predict(features[1000:])[:, 0] > 0) == labels[1000:]).mean() > 0.9
-    for C in (0.01, 1):
-        scorer = fit(np.random.default_rng(1), TrainingParams(scorer_C=C))
-        assert scorer.weights.dtype == scorer.bias.dtype == np.float32
-        median = np.median(scorer.predict(features[:1000])[labels[:1000] > 0])
-        np.testing.assert_allclose(median, 1.5, rtol=1e-3)
+    labels = (np.hypot(x, y)[:, 0] > 1.2).astype(int)
+    # What is neither is not learned from.
+    labels[:100] = -1
+    samples = samples_of(features[:1000], labels[:1000], np.full((1000, 4), np.nan))
+    for C in (0.01, 0.1, 1):
+        scorer = fit_scorer(samples, np.random.default_rng(1), TrainingParams(scorer_C=C))
+        right = (scorer.predict(features[1000:]) > 0) == labels[1000:]
+        assert right.mean() > (0.9 if C == 0.1 else 0.6)
+        assert scorer.weights.dtype == np.float32
+        median = np.median(scorer.predict(features[100:1000])[labels[100:1000] > 0])
+        np.testing.assert_allclose(median, 1.5, rtol=2e-2)
+
+
+def test_the_map_is_that_of_nystroem():
+    rng = np.random.default_rng(3)
+    samples, centers = rng.normal(size=(2, 90, 6)).astype(np.float32)
+    mapped = kernel_map(samples, centers, 0.1, kernel_factor(centers, 0.1), n_rows=40)
+    expected = Nystroem(gamma=0.1, n_components=90).fit(centers).transform(samples)
+    np.testing.assert_allclose(mapped @ mapped.T, expected @ expected.T, atol=2e-3)
+
+
+def test_the_regressor_is_ridge_regression_on_scaled_features():
+    rng = np.random.default_rng(2)
+    features = rng.normal(5, 3, size=(400, 30)) * np.linspace(3, 0.1, 30)
+    shifts = features[:, :4] / 50 + rng.normal(0, 0.01, size=(400, 4))
+    labels = np.zeros(400, int)
+    unknown = np.full((50, 4), np.nan)
+    samples = samples_of(features, labels, np.concatenate([unknown, shifts[50:]]))
+    regressor = fit_regressor(samples, TrainingParams(shift_alpha=10))
+    learned = samples.features[50:].astype(float)
+    pipeline = make_pipeline(StandardScaler(), Ridge(alpha=10)).fit(learned, shifts[50:])
+    found = regressor.predict(samples.features.astype(np.float32))
+    np.testing.assert_allclose(found, pipeline.predict(samples.features.astype(float)), atol=1e-3)
+    assert np.abs(found - shifts).mean() < 0.02
 
 
 @pytest.mark.parametrize("C", [0.01, 1.0])
@@ -386,48 +489,6 @@ def test_the_svm_is_that_of_liblinear(C):
     coef, intercept = fit_linear_svm(features, labels, C)
     np.testing.assert_allclose(coef, svm.coef_[0], atol=2e-3)
     assert intercept == pytest.approx(svm.intercept_[0], abs=2e-3)
-
-
-def test_regressor_looks_past_what_differs_more():
-    rng = np.random.default_rng(2)
-    features = rng.normal(size=(3000, 204)) * np.linspace(3, 1, 204)
-    # Scaled they are all alike: no principal component is that which decides.
-    angle = features[:, 7] / features[:, 7].std()
-    shifts = np.stack([np.sin(angle), np.cos(angle)], axis=1) / 5
-    machine = fit_regressor(
-        features[:2500].astype(np.float32), shifts[:2500], np.random.default_rng(1),
-        DEFAULT_TRAINING,
-    )  # fmt: skip
-    assert machine.projection.shape == (64, 204)
-    error = machine.predict(features[2500:].astype(np.float32)) - shifts[2500:]
-    assert np.abs(error).mean() < 0.5 * np.abs(shifts[2500:] - shifts.mean(axis=0)).mean()
-
-
-def gaussians(x, centers, weights, gamma):
-    """sum_i weights_i exp(-gamma |x - centers_i|^2), shape (n, n_outputs)."""
-    distances = ((x[:, None] - centers[None]) ** 2).sum(axis=2)
-    return np.exp(-gamma * distances) @ weights.T
-
-
-@given(seed=st.integers(0, 1000))
-def test_steepest_directions_are_those_of_differences(seed):
-    rng = np.random.default_rng(seed)
-    x, centers, weights = (rng.normal(size=shape) for shape in ((30, 5), (12, 5), (2, 12)))
-    step = 1e-5
-    slopes = [
-        gaussians(x + step * axis, centers, weights, 0.2)
-        - gaussians(x - step * axis, centers, weights, 0.2)
-        for axis in np.eye(5)
-    ]
-    slopes = np.stack(slopes, axis=-1) / (2 * step)
-    outer = np.einsum("noi,noj->ij", slopes, slopes)
-    directions = steepest_directions(x, centers, weights, 0.2, 3, power=0.4)
-    assert directions.shape == (3, 5) and directions.dtype == np.float32
-    lengths = np.linalg.norm(directions, axis=1)
-    values = np.linalg.eigvalsh(outer)[::-1][:3]
-    np.testing.assert_allclose(lengths, (values / values[0]) ** 0.4, rtol=1e-3)
-    units = directions / lengths[:, None]
-    np.testing.assert_allclose(outer @ units.T, units.T * values, atol=1e-3 * values[0])
 
 
 def test_clusters_or_the_samples_themselves():
@@ -447,8 +508,7 @@ def test_clusters_or_the_samples_themselves():
 
 # As small as still finds something.
 SMALL = TrainingParams(
-    per_camera=14, most_repeats=1, scorer_size=(50, 300), regressor_size=(24, 300),
-    n_principal=60, n_gradients=500, mining_rounds=1,
+    per_camera=14, most_repeats=1, scorer_size=(50, 300), mining_rounds=1,
 )  # fmt: skip
 
 

@@ -10,7 +10,6 @@ the frame.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import cv2
 import numpy as np
@@ -21,18 +20,14 @@ from vehicle_detection.compiled.hog import cell_histograms
 ORIENTATIONS = 9
 PATCH_CELLS = 8
 PATCH_MARGIN = 1
-# Side of a cell in pixels of the patch; even, because chroma is halved.
+# Side of a cell in pixels of the patch.
 PATCH_CELL = 6
 PATCH_SIDE = PATCH_CELLS + 2 * PATCH_MARGIN
 # HOG of the luma, mean colour.
 CELL_FEATURES = ORIENTATIONS + 3
-# HOG of the chroma tells where edges are. The scorer does without: with it, vehicles of a
-# camera that was not learned from score low.
-CHROMA_FEATURES = 2 * ORIENTATIONS
 # Left, top, right, bottom: how much of the margin is outside of the frame.
 N_BORDERS = 4
-N_SCORER_FEATURES = PATCH_SIDE**2 * CELL_FEATURES + N_BORDERS
-N_REGRESSOR_FEATURES = PATCH_SIDE**2 * (CELL_FEATURES + CHROMA_FEATURES) + N_BORDERS
+N_FEATURES = PATCH_SIDE**2 * CELL_FEATURES + N_BORDERS
 _INNER = slice(PATCH_MARGIN, PATCH_MARGIN + PATCH_CELLS)
 
 # Length of a histogram without gradients, in roots of grey levels.
@@ -174,80 +169,50 @@ def luma_and_chroma(patches: np.ndarray) -> np.ndarray:
     return planes
 
 
-def patch_features(planes: np.ndarray) -> tuple:
-    """HOG of the luma and relative colours of the cells of every patch.
+def describe_patches(patches: np.ndarray, outside: np.ndarray) -> np.ndarray:
+    """HOG of the luma and relative colours of the cells of every patch, and what lies outside.
 
-    Of HOG the square roots are taken, as of SIFT [1]_: otherwise the distance of two
-    patches would be that of their strongest edges, and the faint ones would not count.
+    What surrounds a box tells a vehicle from a part of one, and from a window of a house.
+    HOG of the chroma is left out: with it, vehicles of a camera that was not learned from
+    score low. Of HOG the square roots are taken, as of SIFT [1]_: otherwise the distance of
+    two patches would be that of their strongest edges, and the faint ones would not count.
 
     Parameters
     ----------
-    planes : ndarray of uint8, shape (3, n, rows, columns)
-        Of patches, see `luma_and_chroma`.
+    patches : ndarray of uint8, shape (n, rows, columns, 3)
+        RGB, see `cut_patches`.
+    outside : ndarray of float, shape (n, N_BORDERS)
+        See `margins_outside`.
 
     Returns
     -------
-    features : ndarray of float32, shape (n, PATCH_SIDE, PATCH_SIDE, CELL_FEATURES)
-    contrast : ndarray of float32, shape (n,)
-        Mean of `cell_lengths` of the luma.
+    features : ndarray of float32, shape (n, N_FEATURES)
 
     References
     ----------
     .. [1] R. Arandjelovic and A. Zisserman, "Three things everyone should know to
            improve object retrieval", CVPR 2012.
     """
-    features = np.empty((planes.shape[1], PATCH_SIDE, PATCH_SIDE, CELL_FEATURES), np.float32)
-    histograms = _patch_histograms(planes[:1])[0]
+    n, planes = len(patches), luma_and_chroma(patches)
+    features = np.empty((n, N_FEATURES), np.float32)
+    cells = features[:, :-N_BORDERS].reshape(n, PATCH_SIDE, PATCH_SIDE, CELL_FEATURES)
+    histograms = _patch_histograms(planes[0])
     lengths = cell_lengths(histograms)
-    contrast = lengths.mean(axis=(1, 2))
-    around = contrast[:, None, None]
-    features[..., :ORIENTATIONS] = np.sqrt(normalise_cells(histograms, lengths, around))
-    features[..., ORIENTATIONS:] = relative_colors(planes)
-    return features, contrast
+    around = lengths.mean(axis=(1, 2), keepdims=True)
+    cells[..., :ORIENTATIONS] = np.sqrt(normalise_cells(histograms, lengths, around))
+    cells[..., ORIENTATIONS:] = relative_colors(planes)
+    features[:, -N_BORDERS:] = outside
+    return features
 
 
-def chroma_features(planes: np.ndarray, contrast: np.ndarray) -> np.ndarray:
-    """Square roots of HOG of the chroma of the cells of every patch, at half its size.
-
-    Videos hold no more of the chroma than that.
-
-    Parameters
-    ----------
-    planes : ndarray of uint8, shape (3, n, rows, columns)
-        Of patches, see `luma_and_chroma`.
-    contrast : ndarray of float32, shape (n,)
-        Of the luma, see `patch_features`: faint as chroma is by itself, it is noise.
-
-    Returns
-    -------
-    features : ndarray of float32, shape (n, PATCH_SIDE, PATCH_SIDE, CHROMA_FEATURES)
-    """
-    histograms = _patch_histograms(_halved(planes[1:]))
-    around = contrast[:, None, None]
-    channels = [normalise_cells(own, cell_lengths(own), around) for own in histograms]
-    return np.sqrt(np.concatenate(channels, axis=-1))
-
-
-def _halved(planes):
-    """Planes at half their size, shape (channels, n, rows / 2, columns / 2)."""
-    n_channels, n, rows, columns = planes.shape
-    halved = np.empty((n_channels, n, rows // 2, columns // 2), np.uint8)
-    if n:
-        # One below the other, they are one image.
-        whole, size = planes.reshape(-1, columns), (columns // 2, n_channels * n * rows // 2)
-        cv2.resize(whole, size, halved.reshape(-1, columns // 2), interpolation=cv2.INTER_AREA)
-    return halved
-
-
-def _patch_histograms(planes):
-    """`compiled.hog.cell_histograms` of planes, shape (channels, n, side, side, orientations)."""
-    n_channels, n, rows, columns = planes.shape
-    shape = n_channels, n, PATCH_SIDE, PATCH_SIDE, ORIENTATIONS
+def _patch_histograms(patches):
+    """`compiled.hog.cell_histograms` of planes, shape (n, side, side, orientations)."""
+    n, rows, columns = patches.shape
     if not n:
-        return np.empty(shape, np.float32)
+        return np.empty((0, PATCH_SIDE, PATCH_SIDE, ORIENTATIONS), np.float32)
     # All patches are the channels of one image, for a pass of HOG has its price.
-    channels = planes.reshape(-1, rows, columns).transpose(1, 2, 0)
-    return cell_histograms(channels, ORIENTATIONS, rows // PATCH_SIDE).reshape(shape)
+    channels = patches.transpose(1, 2, 0)
+    return cell_histograms(channels, ORIENTATIONS, rows // PATCH_SIDE)
 
 
 def relative_colors(planes: np.ndarray) -> np.ndarray:
@@ -302,33 +267,3 @@ def margins_outside(boxes: np.ndarray, frame_shape: tuple) -> np.ndarray:
     to_border = np.hstack([boxes[:, :2], (columns, rows) - boxes[:, 2:]])
     within = to_border / np.maximum(np.hstack([margin, margin]), 1e-9)
     return np.clip(1 - within, 0, 1).astype(np.float32)
-
-
-def scorer_features(features: np.ndarray, outside: np.ndarray) -> np.ndarray:
-    """What tells vehicles: boxes with their margins, and `margins_outside`.
-
-    What surrounds a box tells a vehicle from a part of one, and from a window of a house.
-    Shape (n, N_SCORER_FEATURES).
-    """
-    return np.hstack([features.reshape(-1, N_SCORER_FEATURES - N_BORDERS), outside])
-
-
-def regressor_features(features: np.ndarray, chroma: Any, outside: np.ndarray) -> np.ndarray:
-    """What tells edges: boxes with their margins, HOG of the chroma too, and `margins_outside`.
-
-    Shape (n, N_REGRESSOR_FEATURES).
-    """
-    cells = np.concatenate([features, chroma], axis=-1)
-    return np.hstack([cells.reshape(-1, N_REGRESSOR_FEATURES - N_BORDERS), outside])
-
-
-def describe_for_scorer(planes: np.ndarray, outside: np.ndarray) -> np.ndarray:
-    """`scorer_features` of patches, from `luma_and_chroma` and `margins_outside`."""
-    cells, _ = patch_features(planes)
-    return scorer_features(cells, outside)
-
-
-def describe_for_regressor(planes: np.ndarray, outside: np.ndarray) -> np.ndarray:
-    """`regressor_features` of patches, from `luma_and_chroma` and `margins_outside`."""
-    cells, contrast = patch_features(planes)
-    return regressor_features(cells, chroma_features(planes, contrast), outside)

@@ -14,33 +14,38 @@ import numpy as np
 from vehicle_detection.media.files import written_whole
 from vehicle_detection.two_stage.features import (
     CELL_FEATURES,
-    N_REGRESSOR_FEATURES,
-    N_SCORER_FEATURES,
+    N_FEATURES,
 )
-from vehicle_detection.two_stage.proposals import WINDOW_COLUMNS, WINDOW_ROWS
+from vehicle_detection.two_stage.proposals import WINDOW_COLUMNS, WINDOW_CONTEXT, WINDOW_ROWS
 
-FORMAT_VERSION = 9
+FORMAT_VERSION = 10
 # Ten times what a detector takes, and more than any of its numbers.
 _MOST_BYTES, _LARGEST = 50_000_000, 1e6
 
 
 @dataclass(frozen=True)
 class Template:
-    """Linear SVM of the first stage.
+    """Linear SVM and ridge regression of the first stage.
 
     Attributes
     ----------
     weights : ndarray of float32, shape (rows, columns, CELL_FEATURES)
+        Of the SVM, by the cells of a window.
     bias : float
+    shift_weights : ndarray of float32, shape (rows + 6, columns + 6, CELL_FEATURES, 4)
+        Of the regression, by the cells of a window and `WINDOW_CONTEXT` around it.
+    shift_bias : ndarray of float32, shape (4,)
     """
 
     weights: np.ndarray
     bias: float
+    shift_weights: np.ndarray
+    shift_bias: np.ndarray
 
 
 @dataclass(frozen=True)
 class KernelMachine:
-    """f(x) = sum_i weights_i exp(-gamma |P x + offset - centers_i|^2) + bias.
+    """Decision function: sum_i weights_i exp(-gamma |P x + offset - centers_i|^2) + bias.
 
     Attributes
     ----------
@@ -48,8 +53,8 @@ class KernelMachine:
         P; scaling and principal components in one.
     offset : ndarray of float32, shape (n_components,)
     centers : ndarray of float32, shape (n, n_components)
-    weights : ndarray of float32, shape (n_outputs, n)
-    bias : ndarray of float32, shape (n_outputs,)
+    weights : ndarray of float32, shape (n,)
+    bias : float
     gamma : float
     """
 
@@ -57,17 +62,17 @@ class KernelMachine:
     offset: np.ndarray
     centers: np.ndarray
     weights: np.ndarray
-    bias: np.ndarray
+    bias: float
     gamma: float
 
     def predict(self, features: np.ndarray) -> np.ndarray:
-        """Outputs for features of float32, shape (n, n_features), shape (n, n_outputs)."""
+        """Scores for features of float32, shape (n, n_features), shape (n,)."""
         components = features @ self.projection.T + self.offset
         squares = _squared_lengths(components)
         # |x - c|^2 = |x|^2 + |c|^2 - 2 x c, as one product instead of three passes.
         extended = np.hstack([components, squares, np.ones_like(squares)])
         exponents = extended @ self._extended_centers
-        return np.exp(exponents, out=exponents) @ self.weights.T + self.bias
+        return np.exp(exponents, out=exponents) @ self.weights + np.float32(self.bias)
 
     @cached_property
     def _extended_centers(self):
@@ -83,22 +88,39 @@ def _squared_lengths(rows):
 
 
 @dataclass(frozen=True)
+class LinearRegressor:
+    """From the features of a patch to shifts of the edges, in widths and heights of the box.
+
+    Attributes
+    ----------
+    weights : ndarray of float32, shape (n_features, 4)
+    bias : ndarray of float32, shape (4,)
+    """
+
+    weights: np.ndarray
+    bias: np.ndarray
+
+    def predict(self, features: np.ndarray) -> np.ndarray:
+        """Shifts for features of float32, shape (n, n_features), shape (n, 4)."""
+        return features @ self.weights + self.bias
+
+
+@dataclass(frozen=True)
 class Detector:
     """All that the two-stage detector learns.
 
     Attributes
     ----------
     templates : tuple of Template
+        Of the first stage.
     scorer : KernelMachine
-        From the luma and colours of a patch to a decision function.
-    regressor : KernelMachine
-        From all cells of a patch to shifts of the four edges, in widths and
-        heights of the box.
+    regressor : LinearRegressor
+        Both of the second stage, see `features.describe_patches`.
     """
 
     templates: tuple
     scorer: KernelMachine
-    regressor: KernelMachine
+    regressor: LinearRegressor
 
 
 def save_detector(detector: Detector, path: str | os.PathLike) -> None:
@@ -145,13 +167,13 @@ def load_detector(path: str | os.PathLike) -> Detector:
     try:
         arrays = _read_arrays(path)
         templates = tuple(
-            Template(arrays[f"template{i}_weights"], float(arrays[f"template{i}_bias"]))
-            for i in range(len(WINDOW_COLUMNS))
+            _read_template(arrays, f"template{i}", columns)
+            for i, columns in enumerate(WINDOW_COLUMNS)
         )
-        for template, columns in zip(templates, WINDOW_COLUMNS, strict=True):
-            _require_shape(template.weights, (WINDOW_ROWS, columns, CELL_FEATURES))
-        scorer = _read_machine(arrays, "scorer", N_SCORER_FEATURES, 1)
-        regressor = _read_machine(arrays, "regressor", N_REGRESSOR_FEATURES, 4)
+        scorer = _read_machine(arrays, "scorer")
+        regressor = LinearRegressor(arrays["regressor_weights"], arrays["regressor_bias"])
+        _require_shape(regressor.weights, (N_FEATURES, 4))
+        _require_shape(regressor.bias, (4,))
     except Exception as error:
         raise ValueError(f"{path}: not a detector of two_stage.training: {error}") from error
     return Detector(templates, scorer, regressor)
@@ -186,17 +208,29 @@ def _require_shape(array, shape):
         raise ValueError(f"an array of {array.shape} instead of {shape}")
 
 
-def _read_machine(arrays, name, n_features, n_outputs):
-    fields = ("projection", "offset", "centers", "weights", "bias")
-    values = [arrays[f"{name}_{field}"] for field in fields]
-    n_components, n_centers = len(values[1]), len(values[2])
+def _read_template(arrays, name, columns):
+    values = [arrays[f"{name}_{field.name}"] for field in fields(Template)]
+    around = 2 * WINDOW_CONTEXT
     shapes = (
-        (n_components, n_features), (n_components,), (n_centers, n_components),
-        (n_outputs, n_centers), (n_outputs,),
+        (WINDOW_ROWS, columns, CELL_FEATURES), (),
+        (WINDOW_ROWS + around, columns + around, CELL_FEATURES, 4), (4,),
     )  # fmt: skip
     for array, shape in zip(values, shapes, strict=True):
         _require_shape(array, shape)
-    gamma = arrays[f"{name}_gamma"]
-    if gamma.shape != () or not gamma > 0:
+    weights, bias, *shifts = values
+    return Template(weights, float(bias), *shifts)
+
+
+def _read_machine(arrays, name):
+    values = [arrays[f"{name}_{field.name}"] for field in fields(KernelMachine)]
+    n_components, n_centers = len(values[1]), len(values[2])
+    shapes = (
+        (n_components, N_FEATURES), (n_components,), (n_centers, n_components), (n_centers,),
+        (), (),
+    )  # fmt: skip
+    for array, shape in zip(values, shapes, strict=True):
+        _require_shape(array, shape)
+    gamma = values[-1]
+    if not gamma > 0:
         raise ValueError(f"gamma {gamma} is not above 0")
-    return KernelMachine(*values, gamma=float(gamma))
+    return KernelMachine(*values[:4], bias=float(values[4]), gamma=float(gamma))

@@ -1,6 +1,6 @@
-"""First stage: linear SVMs score windows of four shapes; the best are proposals.
+"""First stage: linear SVMs score windows of four shapes; the best, moved, are proposals.
 
-frame -> levels -> cells -> window scores -> proposals
+frame -> levels -> cells -> window scores -> best windows -> moved edges -> proposals
 
 A level is the frame at one scale, described by cells of 4 x 4 pixels: HOG of the luma and the
 mean colour. Windows are 8 cells high and of four widths.
@@ -33,8 +33,11 @@ WINDOW_ROWS = 8
 WINDOW_COLUMNS = (6, 8, 11, 16)
 # Side of a cell, in pixels of the level.
 WINDOW_CELL = 4
+# So many cells around a window tell, too, where the edges of a vehicle are.
+WINDOW_CONTEXT = 3
 # A cell is normalised by the mean energy of so many cells each way.
 SURROUNDINGS = 9
+_MOST_SHIFT = 0.49
 # Suppression compares each box with each: only so many of the best.
 _MOST_BOXES = 400
 
@@ -141,7 +144,7 @@ def window_scores(features: np.ndarray, template: Any, step: int) -> np.ndarray:
 
 
 def propose(img: np.ndarray, levels: list, templates: tuple, scan: ScanParams) -> tuple:
-    """The best windows of some levels.
+    """The best windows of some levels, moved onto what they show.
 
     Parameters
     ----------
@@ -167,24 +170,67 @@ def propose(img: np.ndarray, levels: list, templates: tuple, scan: ScanParams) -
 
 def _propose_on_level(img, level, templates, scan):
     """The best windows of one level, as `propose`."""
-    boxes, scores = [], []
     strip = img[level.top : level.bottom]
     size = level.columns, level.rows
     features = cell_features(cv2.resize(strip, size, interpolation=cv2.INTER_LINEAR))
-    # Size of a cell in the frame; columns and rows were rounded each on their own.
-    x, y = WINDOW_CELL * strip.shape[1] / size[0], WINDOW_CELL * strip.shape[0] / size[1]
-    for template in templates:
+    windows, scores, owners = [], [], []
+    for i, template in enumerate(templates):
         rows, columns, _ = template.weights.shape
         level_scores = window_scores(features, template, scan.cells_per_step)
         hot = np.nonzero(level_scores > scan.threshold)
         scores.append(level_scores[hot])
         row, column = np.multiply(hot, scan.cells_per_step)
-        corners = np.stack([column, row, column + columns, row + rows], axis=1)
-        boxes.append(corners * (x, y, x, y) + (0, level.top, 0, level.top))
-    boxes, scores = np.concatenate(boxes), np.concatenate(scores)
-    best = suppress(boxes, scores, scan.overlap)
-    best = best[: scan.n_proposals]
-    return boxes[best], scores[best]
+        windows.append(np.stack([column, row, column + columns, row + rows], axis=1))
+        owners.append(np.full(len(row), i))
+    windows, scores, owners = map(np.concatenate, (windows, scores, owners))
+    best = suppress(windows, scores, scan.overlap)[: scan.n_proposals]
+    # Size of a cell in the frame; columns and rows were rounded each on their own.
+    x, y = WINDOW_CELL * strip.shape[1] / size[0], WINDOW_CELL * strip.shape[0] / size[1]
+    boxes = windows[best] * (x, y, x, y) + (0, level.top, 0, level.top)
+    shifts = np.empty((len(best), 4))
+    for i, template in enumerate(templates):
+        own = owners[best] == i
+        shifts[own] = window_shifts(features, windows[best][own, :2], template)
+    return move_edges(boxes, shifts), scores[best]
+
+
+def window_shifts(features: np.ndarray, corners: np.ndarray, template: Any) -> np.ndarray:
+    """Where the edges of vehicles are, seen from windows: ridge regression, as of R-CNN [1]_.
+
+    Parameters
+    ----------
+    features : ndarray of float32, shape (rows, columns, CELL_FEATURES)
+        Outside of them, the cells at their edge go on.
+    corners : ndarray of int, shape (n, 2)
+        First column and row of each window, in cells.
+    template : Template
+
+    Returns
+    -------
+    shifts : ndarray of float32, shape (n, 4)
+        Of left, top, right and bottom, in widths and heights of the window.
+
+    References
+    ----------
+    .. [1] R. Girshick, J. Donahue, T. Darrell and J. Malik, "Rich feature hierarchies for
+           accurate object detection and semantic segmentation", CVPR 2014, appendix C.
+    """
+    sides = template.shift_weights.shape[:2]
+    column, row = (
+        np.clip(first[:, None] - WINDOW_CONTEXT + np.arange(side), 0, length - 1)
+        for first, side, length in zip(corners.T, sides[::-1], features.shape[1::-1], strict=True)
+    )
+    cells = features[row[:, :, None], column[:, None, :]]
+    return np.tensordot(cells, template.shift_weights, 3) + template.shift_bias
+
+
+def move_edges(boxes: np.ndarray, shifts: np.ndarray) -> np.ndarray:
+    """Boxes with each edge moved by a share of the box's width or height.
+
+    By less than half, so that the left edge stays left of the right one.
+    """
+    size = boxes[:, 2:] - boxes[:, :2]
+    return boxes + np.clip(shifts, -_MOST_SHIFT, _MOST_SHIFT) * np.hstack([size, size])
 
 
 def suppress(boxes: np.ndarray, scores: np.ndarray, overlap: float) -> np.ndarray:

@@ -3,7 +3,7 @@
     python -m vehicle_detection.two_stage.training --footage VIDEO TRUTH 1:630 \\
         --footage SCENES TRUTH --crops VEHICLES --non-vehicles NON_VEHICLES --out FILE.npz
 
-footage -> windows -> first stage -> hard negatives -> proposals -> regressor -> scorer
+footage -> windows -> first stage -> hard negatives -> proposals -> regressor, scorer
 """
 
 from __future__ import annotations
@@ -35,8 +35,7 @@ from vehicle_detection.two_stage.training.footage import (
 )
 from vehicle_detection.two_stage.training.second_stage import (
     scored_patches,
-    train_regressor,
-    train_scorer,
+    train_second_stage,
 )
 
 if TYPE_CHECKING:
@@ -140,8 +139,7 @@ def train_detector(
     detector : Detector
     """
     templates = train_templates(training_set, seed, jobs, params)
-    regressor = train_regressor(training_set, templates, seed, jobs, params)
-    scorer = train_scorer(training_set, (templates, regressor), seed, jobs, params)
+    scorer, regressor = train_second_stage(training_set, templates, seed, jobs, params)
     return Detector(templates, scorer, regressor)
 
 

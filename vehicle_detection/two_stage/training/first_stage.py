@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +15,13 @@ from tqdm.auto import tqdm
 
 from vehicle_detection.compiled.processes import in_parallel
 from vehicle_detection.parameters import DEFAULT_ROAD, DEFAULT_SCAN, ScanParams
-from vehicle_detection.two_stage.features import cut_out
+from vehicle_detection.two_stage.features import CELL_FEATURES, cut_out
 from vehicle_detection.two_stage.model import Template
 from vehicle_detection.two_stage.proposals import (
     SURROUNDINGS,
     WINDOW_CELL,
     WINDOW_COLUMNS,
+    WINDOW_CONTEXT,
     WINDOW_ROWS,
     cell_features,
     level_groups,
@@ -28,9 +30,12 @@ from vehicle_detection.two_stage.proposals import (
 from vehicle_detection.two_stage.road import prior_road, reach
 from vehicle_detection.two_stage.training.augmentation import random_camera, random_crop
 from vehicle_detection.two_stage.training.footage import with_generators
+from vehicle_detection.two_stage.training.machines import fit_shifts
 from vehicle_detection.two_stage.training.sampling import (
+    edge_shifts,
     is_background,
     jittered,
+    windows_around,
 )
 
 if TYPE_CHECKING:
@@ -70,26 +75,36 @@ class WindowSamples:
 def fit_template(
     features: np.ndarray, labels: np.ndarray, columns: int, C: float, seed: int
 ) -> Template:
-    """Template of a linear SVM; scaling is folded into its weights."""
+    """Template of a linear SVM that moves no edges; scaling is folded into its weights."""
     if len(set(labels.tolist())) < 2:
         raise ValueError("windows of vehicles or of anything else are missing: give more footage")
     scaler = StandardScaler().fit(features)
     svm = LinearSVC(C=C, random_state=seed, dual=True).fit(scaler.transform(features), labels)
     weights = svm.coef_[0] / scaler.scale_
     bias = float(svm.intercept_[0] - weights @ scaler.mean_)
-    return Template(weights.reshape(WINDOW_ROWS, columns, -1).astype(np.float32), bias)
+    no_shifts = np.zeros((*context_shape(columns), CELL_FEATURES, 4), np.float32)
+    return Template(
+        weights.reshape(WINDOW_ROWS, columns, -1).astype(np.float32), bias,
+        no_shifts, np.zeros(4, np.float32),
+    )  # fmt: skip
 
 
-def window_features(img: np.ndarray, box: np.ndarray, columns: int) -> np.ndarray:
-    """Cells of a window of a template's shape, cut out of the frame with their surroundings."""
+def context_shape(columns: int) -> tuple:
+    """Rows and columns of a window with its context, in cells."""
+    return WINDOW_ROWS + 2 * WINDOW_CONTEXT, columns + 2 * WINDOW_CONTEXT
+
+
+def window_features(img: np.ndarray, box: np.ndarray, columns: int, context: int = 0) -> np.ndarray:
+    """Cells of a window of a template's shape and of its context, cut out of the frame."""
     left, top, right, bottom = box
     x, y = (right - left) / columns, (bottom - top) / WINDOW_ROWS
     # What its cells are held against, and one more: gradients at a cut edge are those of nowhere.
-    margin = SURROUNDINGS // 2 + 1
+    beyond = SURROUNDINGS // 2 + 1
+    margin = context + beyond
     size = (columns + 2 * margin) * WINDOW_CELL, (WINDOW_ROWS + 2 * margin) * WINDOW_CELL
     x, y = margin * x, margin * y
     whole = np.rint([left - x, top - y, right + x, bottom + y]).astype(int).tolist()
-    return cell_features(cut_out(img, whole, size))[margin:-margin, margin:-margin]
+    return cell_features(cut_out(img, whole, size))[beyond:-beyond, beyond:-beyond]
 
 
 def crop_windows(training_set: TrainingSet, rng: np.random.Generator) -> Iterator:
@@ -142,10 +157,15 @@ def vehicle_windows(
 ) -> Iterator:
     """Yield vehicles of a frame, for the templates whose shape is near theirs."""
     for box in np.concatenate([jittered(boxes, jitter, rng) for _ in range(2)]):
-        shape = (box[2] - box[0]) / (box[3] - box[1])
-        for i, columns in enumerate(WINDOW_COLUMNS):
-            if abs(np.log(shape * WINDOW_ROWS / columns)) < np.log(_SHAPE_TOLERANCE):
-                yield i, window_features(img, box, columns), 1
+        for i in templates_of(box):
+            yield i, window_features(img, box, WINDOW_COLUMNS[i]), 1
+
+
+def templates_of(box: np.ndarray) -> list:
+    """Indices of the templates that a vehicle is one for."""
+    shape = (box[2] - box[0]) / (box[3] - box[1])
+    off = np.abs(np.log(shape * WINDOW_ROWS / np.array(WINDOW_COLUMNS)))
+    return np.flatnonzero(off < np.log(_SHAPE_TOLERANCE)).tolist()
 
 
 def surrounding_windows(
@@ -174,10 +194,62 @@ def mined_windows(item: tuple, templates: tuple) -> list:
     windows = proposals_of(img, templates, MINING_SCAN)
     samples = []
     for window in windows[is_background(windows, boxes, 0.35, 0.6)]:
-        shape = (window[2] - window[0]) / (window[3] - window[1])
-        i = int(np.argmin(np.abs(np.array(WINDOW_COLUMNS) / WINDOW_ROWS - shape)))
+        i = nearest_template(window)
         samples.append((i, window_features(img, window, WINDOW_COLUMNS[i]), 0))
     return samples
+
+
+def nearest_template(window: np.ndarray) -> int:
+    """Index of the template whose shape is nearest to that of a window."""
+    shape = (window[2] - window[0]) / (window[3] - window[1])
+    return int(np.argmin(np.abs(np.array(WINDOW_COLUMNS) / WINDOW_ROWS - shape)))
+
+
+def shift_samples(item: tuple, templates: tuple, params: TrainingParams) -> list:
+    """Windows on and around the vehicles of a frame, and where their edges are from there.
+
+    Parameters
+    ----------
+    item : (Example, numpy.random.Generator)
+    templates : tuple of Template
+        That move no edges.
+    params : TrainingParams
+
+    Returns
+    -------
+    samples : list of (int, ndarray, ndarray)
+        Index of the template, cells of the window and its context as float16, and shifts.
+    """
+    example, rng = item
+    img, boxes, required = random_camera(example, rng)
+    vehicles = boxes[required]
+    found = [proposals_of(img, templates, MINING_SCAN)]
+    for box in np.repeat(vehicles, 2, axis=0):
+        shapes = [WINDOW_COLUMNS[i] / WINDOW_ROWS for i in templates_of(box)]
+        found += [windows_around(box[None], s, params.shift_jitter, rng) for s in shapes]
+    windows = np.concatenate(found)
+    shifts = edge_shifts(windows, vehicles, params.background_iou)
+    samples = []
+    for window, shift in zip(windows, shifts, strict=True):
+        if not np.isnan(shift[0]):
+            i = nearest_template(window)
+            cells = window_features(img, window, WINDOW_COLUMNS[i], WINDOW_CONTEXT)
+            samples.append((i, cells.astype(np.float16), shift))
+    return samples
+
+
+def with_shifts(templates: tuple, samples: list, alpha: float) -> tuple:
+    """Templates that move edges, by what `shift_samples` found in many frames."""
+    moving = []
+    for i, template in enumerate(templates):
+        own = [(cells, shift) for index, cells, shift in samples if index == i]
+        if not own:
+            raise ValueError("vehicles of some shape are missing: give more footage")
+        cells, shifts = map(np.array, zip(*own, strict=True))
+        weights, bias = fit_shifts(cells.reshape(len(cells), -1).astype(np.float32), shifts, alpha)
+        weights = weights.reshape(template.shift_weights.shape)
+        moving.append(replace(template, shift_weights=weights, shift_bias=bias))
+    return tuple(moving)
 
 
 def proposals_of(img: np.ndarray, templates: tuple, scan: Any) -> np.ndarray:
@@ -221,4 +293,6 @@ def train_templates(
         for found in in_parallel(mine, items, jobs, "mining"):
             samples.add(found)
         templates = samples.fit(seed, params.template_C)
-    return templates
+    of_frames = partial(shift_samples, templates=templates, params=params)
+    found = in_parallel(of_frames, with_generators(examples, seed, 4), jobs, "edges")
+    return with_shifts(templates, [sample for own in found for sample in own], params.shift_alpha)

@@ -1,17 +1,48 @@
-"""Boxes to learn from: vehicles with moved edges, parts of vehicles, what lies beside them."""
+"""What is learned from: vehicles with moved edges, parts of vehicles, what lies beside them."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from vehicle_detection.tracking.boxes import best_iou, box_areas, pairwise_overlap
-from vehicle_detection.two_stage.refinement import move_edges
+from vehicle_detection.tracking.boxes import best_iou, box_areas, pairwise_iou, pairwise_overlap
+from vehicle_detection.two_stage.proposals import move_edges
 
 # Of the edges of a box, in widths and heights: how far a proposal may be off.
 _PROPOSAL_JITTERS = (0.04, 0.1, 0.1)
 _LEAST_PART = 0.3
 _FARTHEST_NEIGHBOUR = 1.5
 _MOST_CUT = 0.55
+
+
+@dataclass(frozen=True)
+class PatchSamples:
+    """Patches to learn from.
+
+    Attributes
+    ----------
+    features : ndarray of float16, shape (n, N_FEATURES)
+    labels : ndarray of int, shape (n,)
+        1 for vehicles, 0 for background, -1 for what is neither for certain.
+    shifts : ndarray of float, shape (n, 4)
+        From each box to the edges of its vehicle, in widths and heights of the box; not a
+        number for a box without.
+    """
+
+    features: np.ndarray
+    labels: np.ndarray
+    shifts: np.ndarray
+
+    def only(self, chosen: np.ndarray) -> PatchSamples:
+        """The samples that a mask or index array picks."""
+        return PatchSamples(self.features[chosen], self.labels[chosen], self.shifts[chosen])
+
+
+def joined(samples: list) -> PatchSamples:
+    """Samples of many frames as one."""
+    names = "features", "labels", "shifts"
+    return PatchSamples(*(np.concatenate([getattr(s, n) for s in samples]) for n in names))
 
 
 def jittered(boxes: np.ndarray, spread: float, rng: np.random.Generator) -> np.ndarray:
@@ -38,6 +69,54 @@ def neighbours(boxes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     size = boxes[:, 2:] - boxes[:, :2]
     aside = size * rng.uniform(-_FARTHEST_NEIGHBOUR, _FARTHEST_NEIGHBOUR, size.shape)
     return boxes + np.hstack([aside, aside])
+
+
+def edge_shifts(boxes: np.ndarray, vehicles: np.ndarray, least_iou: float) -> np.ndarray:
+    """From every box to the edges of the vehicle that it overlaps most.
+
+    Parameters
+    ----------
+    boxes : ndarray of float, shape (n, 4)
+    vehicles : ndarray of float, shape (m, 4)
+    least_iou : float
+        A box belongs to no vehicle below it.
+
+    Returns
+    -------
+    shifts : ndarray of float, shape (n, 4)
+        In widths and heights of the box; not a number for a box that belongs to none.
+    """
+    shifts = np.full((len(boxes), 4), np.nan)
+    if len(boxes) and len(vehicles):
+        iou = pairwise_iou(boxes, vehicles)
+        near = iou.max(axis=1) > least_iou
+        own, size = vehicles[iou.argmax(axis=1)], np.tile(boxes[:, 2:] - boxes[:, :2], 2)
+        shifts[near] = ((own - boxes) / size)[near]
+    return shifts
+
+
+def windows_around(
+    boxes: np.ndarray, shape: float, jitter: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Windows of one shape as large as boxes and where these are, their edges moved at random.
+
+    Parameters
+    ----------
+    boxes : ndarray of float, shape (n, 4)
+    shape : float
+        Width by height.
+    jitter : float
+        Standard deviation, in widths and heights.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    windows : ndarray of float, shape (n, 4)
+    """
+    middle = (boxes[:, :2] + boxes[:, 2:]) / 2
+    height = np.sqrt(box_areas(boxes) / shape)
+    half = np.stack([height * shape, height], axis=1) / 2
+    return jittered(np.hstack([middle - half, middle + half]), jitter, rng)
 
 
 def is_background(windows: np.ndarray, boxes: np.ndarray, iou: float, covered: float) -> np.ndarray:

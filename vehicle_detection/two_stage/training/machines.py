@@ -1,25 +1,28 @@
-"""Kernel machines fitted to features: the scorer and the regressor of the second stage."""
+"""The machines of the second stage, fitted to patches: the scorer and the regressor."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, cholesky, solve_triangular
 from scipy.optimize import minimize
 from sklearn.cluster import MiniBatchKMeans
 from sklearn.decomposition import PCA
-from sklearn.kernel_approximation import Nystroem
 from sklearn.linear_model import Ridge
 from sklearn.metrics.pairwise import rbf_kernel
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils.class_weight import compute_sample_weight
 
 from vehicle_detection.two_stage.features import N_BORDERS
-from vehicle_detection.two_stage.model import KernelMachine
+from vehicle_detection.two_stage.model import KernelMachine, LinearRegressor
 
 if TYPE_CHECKING:
     from vehicle_detection.parameters import TrainingParams
+    from vehicle_detection.two_stage.training.sampling import PatchSamples
+
+# Of the kernel of the centers, whose diagonal is 1.
+_LEAST_EIGENVALUE = 1e-5
 
 
 def fit_components(features: np.ndarray, n_components: int, rng: np.random.Generator) -> tuple:
@@ -50,91 +53,37 @@ def apply_components(
     return np.concatenate([part.astype(np.float32) @ projection.T + offset for part in parts])
 
 
-def fit_regressor(
-    features: np.ndarray, shifts: np.ndarray, rng: np.random.Generator, params: Any
-) -> KernelMachine:
-    """Ridge regression on Gaussians around some of the samples, fitted twice.
-
-    First on many principal components, the directions along which patches differ
-    most; then on those few along which the first fit changes most, for they say
-    where the edges are: what colour a vehicle has does not.
-
-    References
-    ----------
-    .. [1] A. Radhakrishnan, D. Beaglehole, P. Pandit and M. Belkin, "Mechanism
-           for feature learning in neural networks and backpropagation-free
-           machine learning models", Science 383, 2024.
-    """
-    n_components, n_centers = params.regressor_size
-    n_principal = min(params.n_principal, len(features), features.shape[1] - N_BORDERS)
-    projection, offset = fit_components(features, max(n_components, n_principal), rng)
-    components = apply_components(features, projection, offset)
-    chosen = rng.permutation(len(components))
-    centers = components[chosen[:n_centers]]
-    first, gamma = fit_ridge(components, centers, shifts, params.ridge_alpha)
-    some = components[chosen[: params.n_gradients]]
-    directions = steepest_directions(some, centers, first.coef_, gamma, n_components)
-    components, centers = components @ directions.T, centers @ directions.T
-    ridge, gamma = fit_ridge(components, centers, shifts, params.ridge_alpha)
-    # One row after the other, as they are multiplied.
-    weights = ridge.coef_.astype(np.float32, order="C")
-    bias = ridge.intercept_.astype(np.float32)
-    return KernelMachine(
-        directions @ projection, directions @ offset, centers, weights, bias, gamma
-    )
+def fit_regressor(samples: PatchSamples, params: Any) -> LinearRegressor:
+    """Ridge regression from patches to the shifts of edges, see `fit_shifts`."""
+    known = ~np.isnan(samples.shifts[:, 0])
+    print(f"edges: {known.sum()} patches")
+    features = samples.features[known].astype(np.float32)
+    return LinearRegressor(*fit_shifts(features, samples.shifts[known], params.shift_alpha))
 
 
-def fit_ridge(
-    components: np.ndarray, centers: np.ndarray, targets: np.ndarray, alpha: float
-) -> tuple:
-    """Ridge regression on Gaussians, and their gamma: one by the sum of the variances."""
-    gamma = float(1 / components.var(axis=0).sum())
-    kernel = rbf_kernel(components.astype(float), centers.astype(float), gamma)
-    return Ridge(alpha=alpha, solver="cholesky").fit(kernel, targets), gamma
-
-
-def steepest_directions(
-    components: np.ndarray,
-    centers: np.ndarray,
-    weights: np.ndarray,
-    gamma: float,
-    count: int,
-    power: float = 0.35,
-) -> np.ndarray:
-    """Directions in which f(x) = sum_i weights_i exp(-gamma |x - centers_i|^2) changes most.
+def fit_shifts(features: np.ndarray, shifts: np.ndarray, alpha: float) -> tuple:
+    """Ridge regression; scaling is folded into its weights.
 
     Parameters
     ----------
-    components : ndarray, shape (n, n_components)
-        Where to look at f.
-    centers : ndarray, shape (n_centers, n_components)
-    weights : ndarray, shape (n_outputs, n_centers)
-    gamma : float
-    count : int
-    power : float
-        Of the eigenvalues. 1/2 would give the gradients' own lengths, and leave too
-        little of all directions but the steepest.
+    features : ndarray of float32, shape (n, n_features)
+    shifts : ndarray of float, shape (n, 4)
+    alpha : float
 
     Returns
     -------
-    directions : ndarray of float32, shape (count, n_components)
-        Eigenvectors of the sum of the gradients' outer products, the steepest first
-        and of length 1, the others as much shorter as their eigenvalues are smaller.
+    weights : ndarray of float32, shape (n_features, 4)
+    bias : ndarray of float32, shape (4,)
     """
-    kernel = rbf_kernel(components, centers, gamma)
-    outer = np.zeros((components.shape[1],) * 2)
-    for own in weights:
-        pull = kernel * own
-        gradients = pull @ centers - pull.sum(axis=1, keepdims=True) * components
-        outer += gradients.T @ gradients
-    values, vectors = np.linalg.eigh(outer)
-    values, vectors = values[::-1][:count], vectors[:, ::-1][:, :count]
-    lengths = np.maximum(values / values[0], 0) ** power
-    return (vectors * lengths).T.astype(np.float32)
+    scaler = StandardScaler().fit(features)
+    ridge = Ridge(alpha=alpha).fit(scaler.transform(features), shifts)
+    weights = ridge.coef_ / scaler.scale_
+    bias = ridge.intercept_ - weights @ scaler.mean_
+    return weights.T.astype(np.float32), bias.astype(np.float32)
 
 
 def fit_scorer(
-    features: np.ndarray, labels: np.ndarray, rng: np.random.Generator, params: TrainingParams
+    samples: PatchSamples, rng: np.random.Generator, params: TrainingParams
 ) -> KernelMachine:
     """Linear SVM on the map that approximates an RBF kernel by clusters of the samples.
 
@@ -147,10 +96,7 @@ def fit_scorer(
 
     Parameters
     ----------
-    features : ndarray of float16, shape (n, N_SCORER_FEATURES)
-        See `features.scorer_features`: the last are the margins outside of the frame.
-    labels : ndarray, shape (n,)
-        Positive for vehicles.
+    samples : PatchSamples
     rng : numpy.random.Generator
     params : TrainingParams
 
@@ -165,6 +111,8 @@ def fit_scorer(
     .. [2] K. Zhang, I. Tsang and J. Kwok, "Improved Nystroem Low-Rank
            Approximation and Error Analysis", ICML 2008.
     """
+    clear = rng.permutation(np.flatnonzero(samples.labels >= 0))[: params.most_patches]
+    features, labels = samples.features[clear], samples.labels[clear]
     print(f"patches: {len(labels)}, {labels.mean():.0%} vehicles")
     n_components, n_centers = params.scorer_size
     projection, offset = fit_components(features, n_components, rng)
@@ -173,14 +121,51 @@ def fit_scorer(
     centers = np.concatenate(
         [cluster_centers(components[labels == label], n_centers // 2) for label in (0, 1)]
     )
-    nystroem = Nystroem(gamma=gamma, n_components=len(centers), random_state=0).fit(centers)
-    mapped = nystroem.transform(components).astype(np.float32)
+    factor = kernel_factor(centers, gamma)
+    mapped = kernel_map(components, centers, gamma, factor)
     coef, intercept = fit_linear_svm(mapped, labels, params.scorer_C)
     scale = params.vehicle_score / np.median(mapped[labels > 0] @ coef + intercept)
-    weights = (scale * (nystroem.normalization_.T @ coef))[None].astype(np.float32)
-    centers = nystroem.components_.astype(np.float32)
-    bias = np.array([scale * intercept], np.float32)
-    return KernelMachine(projection, offset, centers, weights, bias, gamma)
+    weights = scale * solve_triangular(factor, coef, lower=True, trans="T")
+    return KernelMachine(
+        projection, offset, centers, weights.astype(np.float32), float(scale * intercept), gamma
+    )
+
+
+def kernel_factor(centers: np.ndarray, gamma: float) -> np.ndarray:
+    """Cholesky factor of the RBF kernel of the centers, lower, float32, shape (n, n)."""
+    kernel = rbf_kernel(centers.astype(float), gamma=gamma)
+    # Rounding must not make it indefinite.
+    kernel[np.diag_indices_from(kernel)] += _LEAST_EIGENVALUE
+    return cholesky(kernel, lower=True, overwrite_a=True).astype(np.float32)
+
+
+def kernel_map(
+    samples: np.ndarray, centers: np.ndarray, gamma: float, factor: np.ndarray, n_rows: int = 5000
+) -> np.ndarray:
+    """Nystroem's map: products of mapped samples approximate their RBF kernel.
+
+    A rotation of scikit-learn's `Nystroem`, whose decomposition takes far longer; to a
+    linear SVM both are the same.
+
+    Parameters
+    ----------
+    samples : ndarray of float32, shape (n, n_components)
+    centers : ndarray of float32, shape (n_centers, n_components)
+    gamma : float
+    factor : ndarray
+        See `kernel_factor`.
+    n_rows : int
+        So many samples at a time.
+
+    Returns
+    -------
+    mapped : ndarray of float32, shape (n, n_centers)
+    """
+    mapped = np.empty((len(samples), len(centers)), np.float32)
+    for i in range(0, len(samples), n_rows):
+        kernel = rbf_kernel(samples[i : i + n_rows], centers, gamma)
+        mapped[i : i + n_rows] = solve_triangular(factor, kernel.T, lower=True).T
+    return mapped
 
 
 def fit_linear_svm(features: np.ndarray, labels: np.ndarray, C: float) -> tuple:
