@@ -49,8 +49,7 @@ def stages(frames, detector):
         "second stage": lambda: refine(frame, proposals, learned),
         "of it, patches": lambda: cut_patches(frame, proposals),
         "of it, features": lambda: describe_patches(patches, outside),
-        "of it, scorer": lambda: learned.scorer.predict(features),
-        "of it, regressor": lambda: learned.regressor.predict(features),
+        "of it, kernel machine": lambda: learned.machine.predict(features),
     }
     # As `refine` does.
     with threadpool_limits(1, "blas"):

@@ -13,7 +13,7 @@ from vehicle_detection.classifier import Classifier, save_classifier
 from vehicle_detection.media.videos import VideoInfo, video_writer
 from vehicle_detection.parameters import FEATURE_PRESETS, FeatureParams
 from vehicle_detection.two_stage.features import CELL_FEATURES, N_FEATURES
-from vehicle_detection.two_stage.model import Detector, KernelMachine, LinearRegressor, Template
+from vehicle_detection.two_stage.model import N_OUTPUTS, Detector, KernelMachine, Template
 from vehicle_detection.two_stage.proposals import WINDOW_COLUMNS, WINDOW_CONTEXT, WINDOW_ROWS
 
 ROOT = Path(__file__).parent.parent
@@ -78,19 +78,19 @@ def random_detector(seed):
         )
         for columns in WINDOW_COLUMNS
     )
-    weights = normal(1.0, 30)
-    scorer = KernelMachine(
+    weights = normal(1.0, N_OUTPUTS, 30)
+    # The first is a score, the others are shares of a box.
+    weights[1:] *= 0.02
+    machine = KernelMachine(
         projection=normal(0.05, 20, N_FEATURES),
         offset=normal(0.1, 20),
         centers=normal(0.5, 30, 20),
         # What all patches have in common adds nothing.
-        weights=weights - weights.mean(),
-        bias=float(rng.normal(0, 0.01)),
+        weights=weights - weights.mean(axis=1, keepdims=True),
+        bias=normal(0.01, N_OUTPUTS),
         gamma=0.1,
     )
-    return Detector(
-        templates, scorer, LinearRegressor(normal(0.002, N_FEATURES, 4), normal(0.01, 4))
-    )
+    return Detector(templates, machine)
 
 
 def moving_frames(count, rows=180, columns=320):

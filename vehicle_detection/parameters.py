@@ -491,6 +491,9 @@ class TwoStageParams:
     road : RoadParams
     tracks : TrackParams
     distance : DistanceParams
+    n_looks : int
+        So often is a box scored and moved in one picture. In a video once: its track looks again
+        in the next frame.
     """
 
     scan: ScanParams = DEFAULT_SCAN
@@ -498,6 +501,11 @@ class TwoStageParams:
     road: RoadParams = DEFAULT_ROAD
     tracks: TrackParams = DEFAULT_TRACKS
     distance: DistanceParams = DEFAULT_DISTANCE
+    n_looks: int = 1
+
+    def __post_init__(self):
+        if self.n_looks < 1:
+            raise ValueError(f"n_looks starts at 1, it is {self.n_looks}")
 
 
 VIDEO_PARAMS = TwoStageParams()
@@ -506,6 +514,7 @@ STILL_PARAMS = TwoStageParams(
     scan=ScanParams(smallest=24, cells_per_step=1, n_groups=1, n_proposals=12),
     # A score of 0.6, less the offset.
     tracks=TrackParams(confirm_at=0.1),
+    n_looks=2,
 )
 
 
@@ -611,14 +620,15 @@ class TrainingParams:
         Of hard negatives of the first stage.
     n_random : int
         Windows of background a frame and template, at random places.
-    template_C, scorer_C, shift_alpha : float
-        Regularisation.
-    scorer_size : (int, int)
+    template_C, template_alpha, machine_C, machine_alpha : float
+        Regularisation of the SVMs and of the ridge regressions of both stages.
+    machine_size : (int, int)
         Components of patches, and centers.
     vehicle_score : float
         Median score of the vehicles that were learned from.
     most_patches : int
-        That the scorer is fitted to, at random among all: each takes a number a center in memory.
+        That the second stage is fitted to, at random among all: each takes a number a center in
+        memory.
     sure_score : float
         A patch that is scored right by more than this teaches nothing new.
     """
@@ -634,9 +644,10 @@ class TrainingParams:
     mining_frames: int = 300
     n_random: int = 6
     template_C: float = 5e-4
-    scorer_C: float = 0.1
-    shift_alpha: float = 3000.0
-    scorer_size: tuple = (200, 4000)
+    template_alpha: float = 3000.0
+    machine_C: float = 0.1
+    machine_alpha: float = 1.0
+    machine_size: tuple = (200, 4000)
     vehicle_score: float = 1.5
     most_patches: int = 100_000
     sure_score: float = 0.5

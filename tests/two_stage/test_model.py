@@ -31,13 +31,15 @@ def refined(img, boxes, detector):
 @given(count=st.integers(0, 6), seed=st.integers(0, 1000))
 def test_kernel_machine_is_a_sum_of_gaussians(count, seed):
     rng = np.random.default_rng(seed)
-    arrays = [rng.normal(size=shape).astype(np.float32) for shape in ((7, 30), 7, (50, 7), 50)]
-    machine = KernelMachine(*arrays, bias=0.3, gamma=0.05)
+    arrays = [
+        rng.normal(size=shape).astype(np.float32) for shape in ((7, 30), 7, (50, 7), (4, 50), 4)
+    ]
+    machine = KernelMachine(*arrays, gamma=0.05)
     features = rng.normal(size=(count, 30)).astype(np.float32)
-    projection, offset, centers, weights = arrays
-    expected = np.empty(0)
+    projection, offset, centers, weights, bias = arrays
+    expected = np.empty((0, 4))
     if count:
-        expected = 0.3 + rbf_kernel(features @ projection.T + offset, centers, 0.05) @ weights
+        expected = bias + rbf_kernel(features @ projection.T + offset, centers, 0.05) @ weights.T
     np.testing.assert_allclose(machine.predict(features), expected, atol=1e-3)
 
 
@@ -69,9 +71,9 @@ def test_what_is_no_detector_is_named(tmp_path):
         with pytest.raises(ValueError, match=r"detector\.npz: not a detector"):
             load_detector(path)
     good = random_detector(1)
-    short = replace(good.regressor, weights=good.regressor.weights[1:])
+    short = replace(good.machine, weights=good.machine.weights[1:])
     swapped = good.templates[::-1]
-    for other in (replace(good, regressor=short), replace(good, templates=swapped)):
+    for other in (replace(good, machine=short), replace(good, templates=swapped)):
         save_detector(other, path)
         with pytest.raises(ValueError, match="an array of"):
             load_detector(path)
@@ -84,20 +86,20 @@ def test_what_is_no_detector_is_named(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("part", "name", "value", "message"),
+    ("name", "value", "message"),
     [
-        ("scorer", "weights", np.nan, "not finite, or huge"),
-        ("scorer", "gamma", 0.0, "not above 0"),
-        ("scorer", "gamma", np.inf, "not finite"),
-        ("regressor", "bias", 1e30, "huge"),
-        ("scorer", "centers", -np.inf, "not finite"),
+        ("weights", np.nan, "not finite, or huge"),
+        ("gamma", 0.0, "not above 0"),
+        ("gamma", np.inf, "not finite"),
+        ("bias", 1e30, "huge"),
+        ("centers", -np.inf, "not finite"),
     ],
 )
-def test_impossible_numbers_are_refused(tmp_path, part, name, value, message):
+def test_impossible_numbers_are_refused(tmp_path, name, value, message):
     detector = random_detector(1)
-    machine = getattr(detector, part)
+    machine = detector.machine
     changed = value if name == "gamma" else np.full_like(getattr(machine, name), value)
-    other = replace(detector, **{part: replace(machine, **{name: changed})})
+    other = replace(detector, machine=replace(machine, **{name: changed}))
     save_detector(other, tmp_path / "detector.npz")
     with pytest.raises(ValueError, match=rf"detector\.npz: not a detector.*{message}"):
         load_detector(tmp_path / "detector.npz")
@@ -123,7 +125,7 @@ def test_a_strange_array_is_refused(tmp_path, value, message):
     path = tmp_path / "detector.npz"
     save_detector(random_detector(1), path)
     with pytest.raises(ValueError, match=message):
-        load_detector(repacked(path, scorer_bias=value))
+        load_detector(repacked(path, machine_bias=value))
 
 
 def test_a_bomb_is_not_unpacked(tmp_path):
@@ -143,7 +145,7 @@ def test_a_bomb_is_not_unpacked(tmp_path):
     tracemalloc.stop()
 
 
-def test_an_evil_regressor_moves_no_edge_beyond_the_middle():
+def test_an_evil_machine_moves_no_edge_beyond_the_middle():
     """Whatever a file says, boxes stay boxes of about their size."""
     boxes = np.array([[10.0, 20, 50, 40]])
     for shifts in (np.full((1, 4), 1e30), np.array([[1e9, 1e9, -1e9, -1e9]])):

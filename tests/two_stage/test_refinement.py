@@ -29,6 +29,8 @@ def test_boxes_are_scored_and_moved_each_by_itself():
     for i, box in enumerate(boxes):
         outside = margins_outside(box[None], img.shape)
         features = describe_patches(cut_patches(img, box[None]), outside)
-        assert found.scores[i] == pytest.approx(detector.scorer.predict(features)[0], abs=1e-4)
-        shifts = features @ detector.regressor.weights + detector.regressor.bias
-        np.testing.assert_allclose(found.boxes[i], move_edges(box[None], shifts)[0], atol=1e-3)
+        score, *shifts = detector.machine.predict(features)[0]
+        assert found.scores[i] == pytest.approx(score, abs=1e-4)
+        moved = move_edges(box[None], np.array([shifts]))[0]
+        np.testing.assert_allclose(found.boxes[i], moved, atol=1e-3)
+        assert not np.allclose(moved, box)

@@ -12,7 +12,6 @@ from sklearn.kernel_approximation import Nystroem
 from sklearn.linear_model import Ridge
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
-from sklearn.svm import LinearSVC
 
 from conftest import ROOT, random_detector, textured_image
 from pipeline_functions import convert_color
@@ -36,6 +35,7 @@ from vehicle_detection.two_stage.proposals import (
     WINDOW_ROWS,
     cell_features,
 )
+from vehicle_detection.two_stage.refinement import refine
 from vehicle_detection.two_stage.training import second_stage
 from vehicle_detection.two_stage.training.__main__ import train_detector
 from vehicle_detection.two_stage.training.augmentation import (
@@ -61,9 +61,8 @@ from vehicle_detection.two_stage.training.footage import (
 )
 from vehicle_detection.two_stage.training.machines import (
     cluster_centers,
-    fit_linear_svm,
-    fit_regressor,
-    fit_scorer,
+    fit_machine,
+    fit_shifts,
     kernel_factor,
     kernel_map,
 )
@@ -372,7 +371,7 @@ def test_a_frame_teaches_vehicles_background_and_edges(scenes, detector):
     (example,) = read_footage(scenes / "train", scenes / "train.txt", "3:3")
     templates = detector.templates
     item = example, np.random.default_rng(5)
-    img, boxes, labels, shifts = frame_boxes(item, templates, SMALL)
+    img, boxes, labels, shifts = frame_boxes(item, templates, None, SMALL)
     assert {0, 1} <= set(labels.tolist()) <= {-1, 0, 1}
     seen, vehicles, required = random_camera(example, np.random.default_rng(5))
     np.testing.assert_array_equal(img, seen)
@@ -382,10 +381,14 @@ def test_a_frame_teaches_vehicles_background_and_edges(scenes, detector):
     np.testing.assert_array_equal(np.isnan(shifts[:, 0]), iou <= SMALL.background_iou)
     samples = frame_samples((example, np.random.default_rng(5)), templates, None, SMALL)
     np.testing.assert_array_equal(samples.labels, labels)
-    hard = frame_samples((example, np.random.default_rng(5)), templates, detector.scorer, SMALL)
-    scores = detector.scorer.predict(hard.features.astype(np.float32))
+    _, moved, *_ = frame_boxes((example, np.random.default_rng(5)), templates, detector, SMALL)
+    np.testing.assert_array_equal(moved[: len(boxes)], boxes)
+    again = on_whole_pixels(refine(img, boxes, detector).boxes)
+    np.testing.assert_allclose(moved[len(boxes) :], again)
+    hard = frame_samples((example, np.random.default_rng(5)), templates, detector, SMALL)
+    scores = detector.machine.predict(hard.features.astype(np.float32))[:, 0]
     assert (scores * (2 * hard.labels - 1) < SMALL.sure_score + 0.02).all()
-    assert 0 < len(hard.labels) < (labels >= 0).sum()
+    assert 0 < len(hard.labels) < 2 * (labels >= 0).sum()
 
 
 # ------------------------------------------------------------------- fitting
@@ -439,22 +442,28 @@ def samples_of(features, labels, shifts):
     return PatchSamples(features.astype(np.float16), labels, shifts)
 
 
-def test_the_scorer_learns_what_is_not_linear():
+@pytest.mark.parametrize("C", [0.01, 0.1, 1])
+def test_the_machine_learns_what_is_not_linear(C):
     rng = np.random.default_rng(0)
     x, y = rng.normal(size=(2, 1500, 1))
     features = np.repeat(np.hstack([x, y]), 150, axis=1) + rng.normal(0, 0.1, size=(1500, 300))
     features = features.astype(np.float32)
-    labels = (np.hypot(x, y)[:, 0] > 1.2).astype(int)
-    # What is neither is not learned from.
-    labels[:100] = -1
-    samples = samples_of(features[:1000], labels[:1000], np.full((1000, 4), np.nan))
-    for C in (0.01, 0.1, 1):
-        scorer = fit_scorer(samples, np.random.default_rng(1), TrainingParams(scorer_C=C))
-        right = (scorer.predict(features[1000:]) > 0) == labels[1000:]
-        assert right.mean() > (0.9 if C == 0.1 else 0.6)
-        assert scorer.weights.dtype == np.float32
-        median = np.median(scorer.predict(features[100:1000])[labels[100:1000] > 0])
-        np.testing.assert_allclose(median, 1.5, rtol=2e-2)
+    radius = np.hypot(x, y)[:, 0]
+    labels = (radius > 1.2).astype(int)
+    shifts = np.stack([radius, -radius, radius**2, np.zeros(1500)], axis=1) / 10
+    # Of some it is not known what they are, of others not where their edges are.
+    known = labels.copy()
+    known[:100] = -1
+    given = np.where(np.arange(1500)[:, None] % 3 > 0, shifts, np.nan)
+    samples = samples_of(features[:1000], known[:1000], given[:1000])
+    machine = fit_machine(samples, np.random.default_rng(1), TrainingParams(machine_C=C))
+    outputs = machine.predict(features[1000:])
+    assert outputs.shape == (500, 5) and outputs.dtype == np.float32
+    assert ((outputs[:, 0] > 0) == labels[1000:]).mean() > (0.9 if C == 0.1 else 0.6)
+    error = np.abs(outputs[:, 1:] - shifts[1000:]).mean()
+    assert error < 0.3 * np.abs(shifts[1000:] - shifts.mean(axis=0)).mean()
+    median = np.median(machine.predict(features[100:1000])[labels[100:1000] > 0, 0])
+    np.testing.assert_allclose(median, 1.5, rtol=2e-2)
 
 
 def test_the_map_is_that_of_nystroem():
@@ -465,30 +474,13 @@ def test_the_map_is_that_of_nystroem():
     np.testing.assert_allclose(mapped @ mapped.T, expected @ expected.T, atol=2e-3)
 
 
-def test_the_regressor_is_ridge_regression_on_scaled_features():
+def test_shifts_are_ridge_regression_on_scaled_features():
     rng = np.random.default_rng(2)
-    features = rng.normal(5, 3, size=(400, 30)) * np.linspace(3, 0.1, 30)
+    features = (rng.normal(5, 3, size=(400, 30)) * np.linspace(3, 0.1, 30)).astype(np.float32)
     shifts = features[:, :4] / 50 + rng.normal(0, 0.01, size=(400, 4))
-    labels = np.zeros(400, int)
-    unknown = np.full((50, 4), np.nan)
-    samples = samples_of(features, labels, np.concatenate([unknown, shifts[50:]]))
-    regressor = fit_regressor(samples, TrainingParams(shift_alpha=10))
-    learned = samples.features[50:].astype(float)
-    pipeline = make_pipeline(StandardScaler(), Ridge(alpha=10)).fit(learned, shifts[50:])
-    found = regressor.predict(samples.features.astype(np.float32))
-    np.testing.assert_allclose(found, pipeline.predict(samples.features.astype(float)), atol=1e-3)
-    assert np.abs(found - shifts).mean() < 0.02
-
-
-@pytest.mark.parametrize("C", [0.01, 1.0])
-def test_the_svm_is_that_of_liblinear(C):
-    rng = np.random.default_rng(4)
-    features = rng.normal(size=(600, 20)).astype(np.float32)
-    labels = (features[:, 0] + 0.5 * rng.normal(size=600) > 0.8).astype(int)
-    svm = LinearSVC(C=C, dual=False, class_weight="balanced", tol=1e-8).fit(features, labels)
-    coef, intercept = fit_linear_svm(features, labels, C)
-    np.testing.assert_allclose(coef, svm.coef_[0], atol=2e-3)
-    assert intercept == pytest.approx(svm.intercept_[0], abs=2e-3)
+    weights, bias = fit_shifts(features, shifts, alpha=10)
+    expected = make_pipeline(StandardScaler(), Ridge(alpha=10)).fit(features, shifts)
+    np.testing.assert_allclose(features @ weights + bias, expected.predict(features), atol=1e-3)
 
 
 def test_clusters_or_the_samples_themselves():
@@ -508,7 +500,7 @@ def test_clusters_or_the_samples_themselves():
 
 # As small as still finds something.
 SMALL = TrainingParams(
-    per_camera=14, most_repeats=1, scorer_size=(50, 300), mining_rounds=1,
+    per_camera=14, most_repeats=1, machine_size=(50, 300), mining_rounds=1,
 )  # fmt: skip
 
 
@@ -555,9 +547,8 @@ def test_the_same_seed_trains_the_same_detector(scenes, detector):
     again = trained(scenes)
     for one, other in zip(detector.templates, again.templates, strict=True):
         np.testing.assert_allclose(one.weights, other.weights, atol=1e-5)
-    for name in ("regressor", "scorer"):
-        one, other = getattr(detector, name), getattr(again, name)
-        np.testing.assert_allclose(one.weights, other.weights, rtol=0.05, atol=0.01)
+    one, other = detector.machine, again.machine
+    np.testing.assert_allclose(one.weights, other.weights, rtol=0.05, atol=0.01)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,8 @@ from vehicle_detection.two_stage.features import (
 from vehicle_detection.two_stage.proposals import WINDOW_COLUMNS, WINDOW_CONTEXT, WINDOW_ROWS
 
 FORMAT_VERSION = 10
+# Of the second stage: the decision function, and shifts of left, top, right and bottom.
+N_OUTPUTS = 5
 # Ten times what a detector takes, and more than any of its numbers.
 _MOST_BYTES, _LARGEST = 50_000_000, 1e6
 
@@ -45,7 +47,7 @@ class Template:
 
 @dataclass(frozen=True)
 class KernelMachine:
-    """Decision function: sum_i weights_i exp(-gamma |P x + offset - centers_i|^2) + bias.
+    """f(x) = sum_i weights_i exp(-gamma |P x + offset - centers_i|^2) + bias.
 
     Attributes
     ----------
@@ -53,8 +55,8 @@ class KernelMachine:
         P; scaling and principal components in one.
     offset : ndarray of float32, shape (n_components,)
     centers : ndarray of float32, shape (n, n_components)
-    weights : ndarray of float32, shape (n,)
-    bias : float
+    weights : ndarray of float32, shape (n_outputs, n)
+    bias : ndarray of float32, shape (n_outputs,)
     gamma : float
     """
 
@@ -62,17 +64,17 @@ class KernelMachine:
     offset: np.ndarray
     centers: np.ndarray
     weights: np.ndarray
-    bias: float
+    bias: np.ndarray
     gamma: float
 
     def predict(self, features: np.ndarray) -> np.ndarray:
-        """Scores for features of float32, shape (n, n_features), shape (n,)."""
+        """Outputs for features of float32, shape (n, n_features), shape (n, n_outputs)."""
         components = features @ self.projection.T + self.offset
         squares = _squared_lengths(components)
         # |x - c|^2 = |x|^2 + |c|^2 - 2 x c, as one product instead of three passes.
         extended = np.hstack([components, squares, np.ones_like(squares)])
         exponents = extended @ self._extended_centers
-        return np.exp(exponents, out=exponents) @ self.weights + np.float32(self.bias)
+        return np.exp(exponents, out=exponents) @ self.weights.T + self.bias
 
     @cached_property
     def _extended_centers(self):
@@ -88,39 +90,20 @@ def _squared_lengths(rows):
 
 
 @dataclass(frozen=True)
-class LinearRegressor:
-    """From the features of a patch to shifts of the edges, in widths and heights of the box.
-
-    Attributes
-    ----------
-    weights : ndarray of float32, shape (n_features, 4)
-    bias : ndarray of float32, shape (4,)
-    """
-
-    weights: np.ndarray
-    bias: np.ndarray
-
-    def predict(self, features: np.ndarray) -> np.ndarray:
-        """Shifts for features of float32, shape (n, n_features), shape (n, 4)."""
-        return features @ self.weights + self.bias
-
-
-@dataclass(frozen=True)
 class Detector:
     """All that the two-stage detector learns.
 
     Attributes
     ----------
     templates : tuple of Template
-        Of the first stage.
-    scorer : KernelMachine
-    regressor : LinearRegressor
-        Both of the second stage, see `features.describe_patches`.
+        The first stage.
+    machine : KernelMachine
+        The second stage: from the features of a patch, see `features.describe_patches`, to
+        its decision function and the shifts of its edges, in widths and heights of the box.
     """
 
     templates: tuple
-    scorer: KernelMachine
-    regressor: LinearRegressor
+    machine: KernelMachine
 
 
 def save_detector(detector: Detector, path: str | os.PathLike) -> None:
@@ -128,10 +111,8 @@ def save_detector(detector: Detector, path: str | os.PathLike) -> None:
     arrays: dict = {"format_version": np.int64(FORMAT_VERSION)}
     for i, template in enumerate(detector.templates):
         arrays |= {f"template{i}_{name}": value for name, value in vars(template).items()}
-    for name in ("scorer", "regressor"):
-        machine = getattr(detector, name)
-        own = {field.name: getattr(machine, field.name) for field in fields(machine)}
-        arrays |= {f"{name}_{key}": _half(value) for key, value in own.items()}
+    machine = {field.name: getattr(detector.machine, field.name) for field in fields(KernelMachine)}
+    arrays |= {f"machine_{name}": _half(value) for name, value in machine.items()}
     arrays["sha256"] = _checksum(arrays)
     with written_whole(path) as file:
         np.savez_compressed(file, **arrays)
@@ -170,13 +151,10 @@ def load_detector(path: str | os.PathLike) -> Detector:
             _read_template(arrays, f"template{i}", columns)
             for i, columns in enumerate(WINDOW_COLUMNS)
         )
-        scorer = _read_machine(arrays, "scorer")
-        regressor = LinearRegressor(arrays["regressor_weights"], arrays["regressor_bias"])
-        _require_shape(regressor.weights, (N_FEATURES, 4))
-        _require_shape(regressor.bias, (4,))
+        machine = _read_machine(arrays, "machine")
     except Exception as error:
         raise ValueError(f"{path}: not a detector of two_stage.training: {error}") from error
-    return Detector(templates, scorer, regressor)
+    return Detector(templates, machine)
 
 
 def _read_arrays(path):
@@ -225,12 +203,12 @@ def _read_machine(arrays, name):
     values = [arrays[f"{name}_{field.name}"] for field in fields(KernelMachine)]
     n_components, n_centers = len(values[1]), len(values[2])
     shapes = (
-        (n_components, N_FEATURES), (n_components,), (n_centers, n_components), (n_centers,),
-        (), (),
+        (n_components, N_FEATURES), (n_components,), (n_centers, n_components),
+        (N_OUTPUTS, n_centers), (N_OUTPUTS,), (),
     )  # fmt: skip
     for array, shape in zip(values, shapes, strict=True):
         _require_shape(array, shape)
-    gamma = values[-1]
+    *arrays, gamma = values
     if not gamma > 0:
         raise ValueError(f"gamma {gamma} is not above 0")
-    return KernelMachine(*values[:4], bias=float(values[4]), gamma=float(gamma))
+    return KernelMachine(*arrays, gamma=float(gamma))

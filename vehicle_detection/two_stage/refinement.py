@@ -41,7 +41,9 @@ class Candidates:
         return Candidates(self.boxes[chosen], self.scores[chosen])
 
 
-def refine(frame: np.ndarray, boxes: np.ndarray, detector: Detector) -> Candidates:
+def refine(
+    frame: np.ndarray, boxes: np.ndarray, detector: Detector, n_looks: int = 1
+) -> Candidates:
     """Score boxes, and move their edges to where they belong.
 
     Parameters
@@ -50,15 +52,25 @@ def refine(frame: np.ndarray, boxes: np.ndarray, detector: Detector) -> Candidat
         RGB.
     boxes : ndarray of float, shape (n, 4)
     detector : Detector
+    n_looks : int
+        So often, the score being the last one.
 
     Returns
     -------
     candidates : Candidates
     """
+    for _ in range(n_looks):
+        candidates = _look(frame, boxes, detector)
+        boxes = candidates.boxes
+    return candidates
+
+
+def _look(frame, boxes, detector):
+    """Boxes with their scores, and where they belong, as `refine`."""
     boxes = on_whole_pixels(boxes)
     outside = margins_outside(boxes, frame.shape)
     features = describe_patches(cut_patches(frame, boxes), outside)
     # For products this small, waking BLAS's threads takes longer than the product.
     with _LIBRARIES.limit(limits=1, user_api="blas"):
-        scores = detector.scorer.predict(features)
-        return Candidates(move_edges(boxes, detector.regressor.predict(features)), scores)
+        outputs = detector.machine.predict(features)
+    return Candidates(move_edges(boxes, outputs[:, 1:]), outputs[:, 0])

@@ -91,7 +91,7 @@ class TwoStageVehicle(Viewer):
 
     def load_param_detect(self, path: str | os.PathLike) -> None:
         """Take a detector, or the path of one; forgets all frames."""
-        self.detector: Any = path if hasattr(path, "scorer") else load_detector(path)
+        self.detector: Any = path if hasattr(path, "machine") else load_detector(path)
         self.reset()
 
     def reset(self) -> None:
@@ -128,7 +128,8 @@ class TwoStageVehicle(Viewer):
         levels = self._next_levels(road)
         proposals, _ = propose(rgb_frame, levels, self.detector.templates, self.params.scan)
         boxes = np.concatenate([self._predicted(), proposals])
-        candidates = self._select(refine(rgb_frame, boxes, self.detector), road)
+        candidates = refine(rgb_frame, boxes, self.detector, self.params.n_looks)
+        candidates = self._select(candidates, road)
         tracks = self._tracker.update(candidates.boxes, candidates.scores)
         confirmed = [i for i, track in enumerate(tracks) if track and track.is_confirmed]
         vehicles = stack_boxes([tracks[i].box for i in confirmed])

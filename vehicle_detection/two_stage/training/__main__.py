@@ -3,7 +3,7 @@
     python -m vehicle_detection.two_stage.training --footage VIDEO TRUTH 1:630 \\
         --footage SCENES TRUTH --crops VEHICLES --non-vehicles NON_VEHICLES --out FILE.npz
 
-footage -> windows -> first stage -> hard negatives -> proposals -> regressor, scorer
+footage -> windows -> first stage -> hard negatives -> proposals -> second stage
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from vehicle_detection import command_line
 from vehicle_detection.evaluation.confusion import draw_confusion
 from vehicle_detection.media.files import write_whole, written_whole
 from vehicle_detection.parameters import DEFAULT_TRAINING, QUICK_TRAINING
-from vehicle_detection.two_stage.model import Detector, save_detector
+from vehicle_detection.two_stage.model import save_detector
 from vehicle_detection.two_stage.training.card import model_card
 from vehicle_detection.two_stage.training.first_stage import train_templates
 from vehicle_detection.two_stage.training.footage import (
@@ -40,6 +40,7 @@ from vehicle_detection.two_stage.training.second_stage import (
 
 if TYPE_CHECKING:
     from vehicle_detection.parameters import TrainingParams
+    from vehicle_detection.two_stage.model import Detector
 
 _FRAMES_TO_DRAW = 100
 
@@ -139,8 +140,7 @@ def train_detector(
     detector : Detector
     """
     templates = train_templates(training_set, seed, jobs, params)
-    scorer, regressor = train_second_stage(training_set, templates, seed, jobs, params)
-    return Detector(templates, scorer, regressor)
+    return train_second_stage(training_set, templates, seed, jobs, params)
 
 
 def draw_training(

@@ -295,4 +295,6 @@ def train_templates(
         templates = samples.fit(seed, params.template_C)
     of_frames = partial(shift_samples, templates=templates, params=params)
     found = in_parallel(of_frames, with_generators(examples, seed, 4), jobs, "edges")
-    return with_shifts(templates, [sample for own in found for sample in own], params.shift_alpha)
+    return with_shifts(
+        templates, [sample for own in found for sample in own], params.template_alpha
+    )

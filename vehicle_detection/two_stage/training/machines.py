@@ -1,8 +1,8 @@
-"""The machines of the second stage, fitted to patches: the scorer and the regressor."""
+"""What is fitted to samples: shifts of edges, and the kernel machine of the second stage."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import block_diag, cholesky, solve_triangular
@@ -15,7 +15,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils.class_weight import compute_sample_weight
 
 from vehicle_detection.two_stage.features import N_BORDERS
-from vehicle_detection.two_stage.model import KernelMachine, LinearRegressor
+from vehicle_detection.two_stage.model import KernelMachine
 
 if TYPE_CHECKING:
     from vehicle_detection.parameters import TrainingParams
@@ -53,14 +53,6 @@ def apply_components(
     return np.concatenate([part.astype(np.float32) @ projection.T + offset for part in parts])
 
 
-def fit_regressor(samples: PatchSamples, params: Any) -> LinearRegressor:
-    """Ridge regression from patches to the shifts of edges, see `fit_shifts`."""
-    known = ~np.isnan(samples.shifts[:, 0])
-    print(f"edges: {known.sum()} patches")
-    features = samples.features[known].astype(np.float32)
-    return LinearRegressor(*fit_shifts(features, samples.shifts[known], params.shift_alpha))
-
-
 def fit_shifts(features: np.ndarray, shifts: np.ndarray, alpha: float) -> tuple:
     """Ridge regression; scaling is folded into its weights.
 
@@ -82,17 +74,17 @@ def fit_shifts(features: np.ndarray, shifts: np.ndarray, alpha: float) -> tuple:
     return weights.T.astype(np.float32), bias.astype(np.float32)
 
 
-def fit_scorer(
+def fit_machine(
     samples: PatchSamples, rng: np.random.Generator, params: TrainingParams
 ) -> KernelMachine:
-    """Linear SVM on the map that approximates an RBF kernel by clusters of the samples.
+    """The second stage: a linear SVM and ridge regressions on one map of the samples.
 
-    Its decision function is scaled so that the vehicles it learned from have a median of
+    The map approximates an RBF kernel by clusters of the samples, as many of vehicles as of
+    anything else. A kernel SVM on as many samples would keep thousands of support vectors,
+    and each costs time in every frame.
+
+    The decision function is scaled so that the vehicles it learned from have a median of
     `params.vehicle_score`: how much evidence a score is must not depend on C.
-
-    A kernel SVM on as many samples would keep thousands of support vectors,
-    and each costs time in every frame. As many clusters are of vehicles as of
-    anything else.
 
     Parameters
     ----------
@@ -102,7 +94,8 @@ def fit_scorer(
 
     Returns
     -------
-    scorer : KernelMachine
+    machine : KernelMachine
+        Its outputs are the decision function and the four shifts.
 
     References
     ----------
@@ -112,9 +105,10 @@ def fit_scorer(
            Approximation and Error Analysis", ICML 2008.
     """
     clear = rng.permutation(np.flatnonzero(samples.labels >= 0))[: params.most_patches]
+    known = np.flatnonzero(~np.isnan(samples.shifts[:, 0]))
     features, labels = samples.features[clear], samples.labels[clear]
-    print(f"patches: {len(labels)}, {labels.mean():.0%} vehicles")
-    n_components, n_centers = params.scorer_size
+    print(f"patches: {len(clear)}, {labels.mean():.0%} vehicles, {len(known)} with edges")
+    n_components, n_centers = params.machine_size
     projection, offset = fit_components(features, n_components, rng)
     components = apply_components(features, projection, offset)
     gamma = float(1 / components[:, :n_components].var(axis=0).sum())
@@ -123,12 +117,17 @@ def fit_scorer(
     )
     factor = kernel_factor(centers, gamma)
     mapped = kernel_map(components, centers, gamma, factor)
-    coef, intercept = fit_linear_svm(mapped, labels, params.scorer_C)
+    coef, intercept = fit_linear_svm(mapped, labels, params.machine_C)
     scale = params.vehicle_score / np.median(mapped[labels > 0] @ coef + intercept)
-    weights = scale * solve_triangular(factor, coef, lower=True, trans="T")
-    return KernelMachine(
-        projection, offset, centers, weights.astype(np.float32), float(scale * intercept), gamma
-    )
+    components = apply_components(samples.features[known], projection, offset)
+    mapped = kernel_map(components, centers, gamma, factor)
+    ridge = Ridge(params.machine_alpha, solver="cholesky").fit(mapped, samples.shifts[known])
+    coefs = np.vstack([scale * coef, ridge.coef_])
+    weights = solve_triangular(factor, coefs.T, lower=True, trans="T").T
+    # One row after the other, as they are multiplied.
+    weights = weights.astype(np.float32, order="C")
+    bias = np.array([scale * intercept, *ridge.intercept_], np.float32)
+    return KernelMachine(projection, offset, centers.astype(np.float32), weights, bias, gamma)
 
 
 def kernel_factor(centers: np.ndarray, gamma: float) -> np.ndarray:

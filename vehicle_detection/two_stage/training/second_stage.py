@@ -17,6 +17,8 @@ from vehicle_detection.two_stage.features import (
     margins_outside,
     on_whole_pixels,
 )
+from vehicle_detection.two_stage.model import Detector
+from vehicle_detection.two_stage.refinement import refine
 from vehicle_detection.two_stage.training.augmentation import (
     degrade,
     random_camera,
@@ -24,7 +26,7 @@ from vehicle_detection.two_stage.training.augmentation import (
 )
 from vehicle_detection.two_stage.training.first_stage import proposals_of
 from vehicle_detection.two_stage.training.footage import with_generators
-from vehicle_detection.two_stage.training.machines import fit_regressor, fit_scorer
+from vehicle_detection.two_stage.training.machines import fit_machine
 from vehicle_detection.two_stage.training.sampling import (
     PatchSamples,
     cut_by_border,
@@ -69,13 +71,15 @@ def candidates(
     return windows[clear | (best_iou(windows, vehicles) > 0.5)]
 
 
-def frame_boxes(item: tuple, templates: tuple, params: TrainingParams) -> tuple:
+def frame_boxes(item: tuple, templates: tuple, detector: Any, params: TrainingParams) -> tuple:
     """Boxes of a frame to learn from, as another camera might have taken it.
 
     Parameters
     ----------
     item : (Example, numpy.random.Generator)
     templates : tuple of Template
+    detector : Detector or None
+        Every box is learned from where it moves it, too: it will be looked at again there.
     params : TrainingParams
 
     Returns
@@ -88,6 +92,8 @@ def frame_boxes(item: tuple, templates: tuple, params: TrainingParams) -> tuple:
     example, rng = item
     img, vehicles, required = random_camera(example, rng)
     boxes = on_whole_pixels(candidates(img, vehicles, required, templates, rng))
+    if detector is not None:
+        boxes = np.concatenate([boxes, on_whole_pixels(refine(img, boxes, detector).boxes)])
     iou = best_iou(boxes, vehicles[required])
     # A part of a vehicle is none, or it would be found beside the whole.
     is_other = (iou < params.background_iou) & is_background(boxes, vehicles[~required], 0.3, 0.5)
@@ -96,25 +102,16 @@ def frame_boxes(item: tuple, templates: tuple, params: TrainingParams) -> tuple:
 
 
 def frame_samples(
-    item: tuple, templates: tuple, scorer: Any, params: TrainingParams
+    item: tuple, templates: tuple, detector: Any, params: TrainingParams
 ) -> PatchSamples:
-    """Patches of a frame, see `frame_boxes`.
-
-    Parameters
-    ----------
-    item : (Example, numpy.random.Generator)
-    templates : tuple of Template
-    scorer : KernelMachine or None
-        Only what it is not sure of is kept, or wrong about.
-    params : TrainingParams
-    """
-    img, boxes, labels, shifts = frame_boxes(item, templates, params)
+    """Patches of a frame, see `frame_boxes`; with a detector, only what it is not sure of."""
+    img, boxes, labels, shifts = frame_boxes(item, templates, detector, params)
     patches = degrade(cut_patches(img, boxes), item[1])
     features = describe_patches(patches, margins_outside(boxes, img.shape))
     samples = PatchSamples(features.astype(np.float16), labels, shifts)
-    if scorer is None:
+    if detector is None:
         return samples
-    right = np.where(labels == 1, 1, -1) * scorer.predict(features)
+    right = np.where(labels == 1, 1, -1) * detector.machine.predict(features)[:, 0]
     return samples.only((labels >= 0) & (right < params.sure_score))
 
 
@@ -175,19 +172,19 @@ def scored_patches(examples: list, detector: Any, seed: int, params: TrainingPar
     """
     found = []
     for item in with_generators(examples, seed, 10):
-        img, boxes, labels, _ = frame_boxes(item, detector.templates, params)
+        img, boxes, labels, _ = frame_boxes(item, detector.templates, None, params)
         boxes, labels = boxes[labels >= 0], labels[labels >= 0]
         patches = cut_patches(img, boxes)
         features = describe_patches(patches, margins_outside(boxes, img.shape))
-        found.append((patches, labels, detector.scorer.predict(features)))
+        found.append((patches, labels, detector.machine.predict(features)[:, 0]))
     patches, labels, scores = map(np.concatenate, zip(*found, strict=True))
     return patches, labels, scores
 
 
 def train_second_stage(
     training_set: TrainingSet, templates: tuple, seed: int, jobs: int, params: TrainingParams
-) -> tuple:
-    """The scorer, with one round of hard patches, and the regressor.
+) -> Detector:
+    """The second stage, with one round of hard patches, beside the first.
 
     Parameters
     ----------
@@ -198,8 +195,7 @@ def train_second_stage(
 
     Returns
     -------
-    scorer : KernelMachine
-    regressor : LinearRegressor
+    detector : Detector
     """
     images = [(path, 1) for path in 2 * (training_set.crops + training_set.square_crops)]
     images += [(path, 0) for path in training_set.non_vehicles]
@@ -210,12 +206,11 @@ def train_second_stage(
         ),
         *in_parallel(partial(boxed_crop_samples, params=params), boxed, jobs, "boxed crops"),
     ]
-    scorer: Any = None
+    detector: Any = None
     for mining in range(2):
         items = with_generators(training_set.examples, seed, 7, mining)
-        of_frames = partial(frame_samples, templates=templates, scorer=scorer, params=params)
+        of_frames = partial(frame_samples, templates=templates, detector=detector, params=params)
         samples = [joined([*samples, *in_parallel(of_frames, items, jobs, "patches")])]
-        if not mining:
-            regressor = fit_regressor(samples[0], params)
-        scorer = fit_scorer(samples[0], np.random.default_rng([seed, 8]), params)
-    return scorer, regressor
+        machine = fit_machine(samples[0], np.random.default_rng([seed, 8]), params)
+        detector = Detector(templates, machine)
+    return detector
