@@ -491,9 +491,6 @@ class TwoStageParams:
     road : RoadParams
     tracks : TrackParams
     distance : DistanceParams
-    n_looks : int
-        So often is a box scored and moved in one picture. In a video once: its track looks again
-        in the next frame.
     """
 
     scan: ScanParams = DEFAULT_SCAN
@@ -501,11 +498,6 @@ class TwoStageParams:
     road: RoadParams = DEFAULT_ROAD
     tracks: TrackParams = DEFAULT_TRACKS
     distance: DistanceParams = DEFAULT_DISTANCE
-    n_looks: int = 1
-
-    def __post_init__(self):
-        if self.n_looks < 1:
-            raise ValueError(f"n_looks starts at 1, it is {self.n_looks}")
 
 
 VIDEO_PARAMS = TwoStageParams()
@@ -514,7 +506,6 @@ STILL_PARAMS = TwoStageParams(
     scan=ScanParams(smallest=24, cells_per_step=1, n_groups=1, n_proposals=12),
     # A score of 0.6, less the offset.
     tracks=TrackParams(confirm_at=0.1),
-    n_looks=2,
 )
 
 

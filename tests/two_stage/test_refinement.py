@@ -1,4 +1,4 @@
-"""Refinement: boxes are scored where they are, and moved."""
+"""Refinement: boxes are scored and moved, vehicles twice."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from vehicle_detection.two_stage.features import (
     on_whole_pixels,
 )
 from vehicle_detection.two_stage.proposals import move_edges
-from vehicle_detection.two_stage.refinement import refine
+from vehicle_detection.two_stage.refinement import look, refine
 
 
 def test_edges_move_by_shares_of_the_box():
@@ -19,18 +19,31 @@ def test_edges_move_by_shares_of_the_box():
     np.testing.assert_allclose(moved, [(90, 60, 220, 90)])
 
 
-def test_boxes_are_scored_and_moved_each_by_itself():
-    img = textured_image(4, 240, 320)
-    detector = random_detector(0)
-    none = refine(img, np.empty((0, 4)), detector)
-    assert none.boxes.shape == (0, 4) and none.scores.shape == (0,)
+def test_a_box_is_scored_as_it_is_and_moved():
+    img, detector = textured_image(4, 240, 320), random_detector(0)
     boxes = on_whole_pixels(random_boxes(np.random.default_rng(0), 5))
-    found = refine(img, boxes, detector)
+    moved, scores = look(img, boxes, detector)
     for i, box in enumerate(boxes):
         outside = margins_outside(box[None], img.shape)
         features = describe_patches(cut_patches(img, box[None]), outside)
         score, *shifts = detector.machine.predict(features)[0]
-        assert found.scores[i] == pytest.approx(score, abs=1e-4)
-        moved = move_edges(box[None], np.array([shifts]))[0]
-        np.testing.assert_allclose(found.boxes[i], moved, atol=1e-3)
-        assert not np.allclose(moved, box)
+        assert scores[i] == pytest.approx(score, abs=1e-4)
+        expected = move_edges(box[None], np.array([shifts]))[0]
+        np.testing.assert_allclose(moved[i], expected, atol=1e-3)
+        assert not np.allclose(expected, box)
+
+
+def test_what_scores_as_a_vehicle_is_looked_at_again():
+    img, detector = textured_image(4, 240, 320), random_detector(0)
+    none = refine(img, np.empty((0, 4)), detector)
+    assert none.boxes.shape == (0, 4) and none.scores.shape == (0,)
+    boxes = random_boxes(np.random.default_rng(0), 20)
+    first_boxes, first_scores = look(img, boxes, detector)
+    second_boxes, second_scores = look(img, first_boxes, detector)
+    found = refine(img, boxes, detector)
+    hot = first_scores > 0
+    assert 0 < hot.sum() < 20
+    np.testing.assert_allclose(found.boxes[hot], second_boxes[hot], atol=1e-3)
+    np.testing.assert_allclose(found.scores[hot], second_scores[hot], atol=1e-4)
+    np.testing.assert_allclose(found.boxes[~hot], first_boxes[~hot], atol=1e-3)
+    np.testing.assert_allclose(found.scores[~hot], first_scores[~hot], atol=1e-4)

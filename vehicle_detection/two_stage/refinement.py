@@ -41,10 +41,10 @@ class Candidates:
         return Candidates(self.boxes[chosen], self.scores[chosen])
 
 
-def refine(
-    frame: np.ndarray, boxes: np.ndarray, detector: Detector, n_looks: int = 1
-) -> Candidates:
-    """Score boxes, and move their edges to where they belong.
+def refine(frame: np.ndarray, boxes: np.ndarray, detector: Detector) -> Candidates:
+    """Score boxes and move their edges to where they belong; vehicles twice.
+
+    A box that is off scores low. What scores above 0 is looked at again where it was moved.
 
     Parameters
     ----------
@@ -52,25 +52,28 @@ def refine(
         RGB.
     boxes : ndarray of float, shape (n, 4)
     detector : Detector
-    n_looks : int
-        So often, the score being the last one.
 
     Returns
     -------
     candidates : Candidates
     """
-    for _ in range(n_looks):
-        candidates = _look(frame, boxes, detector)
-        boxes = candidates.boxes
-    return candidates
-
-
-def _look(frame, boxes, detector):
-    """Boxes with their scores, and where they belong, as `refine`."""
-    boxes = on_whole_pixels(boxes)
-    outside = margins_outside(boxes, frame.shape)
-    features = describe_patches(cut_patches(frame, boxes), outside)
     # For products this small, waking BLAS's threads takes longer than the product.
     with _LIBRARIES.limit(limits=1, user_api="blas"):
-        outputs = detector.machine.predict(features)
-    return Candidates(move_edges(boxes, outputs[:, 1:]), outputs[:, 0])
+        moved, scores = look(frame, boxes, detector)
+        again = scores > 0
+        moved[again], scores[again] = look(frame, moved[again], detector)
+    return Candidates(moved, scores)
+
+
+def look(frame: np.ndarray, boxes: np.ndarray, detector: Detector) -> tuple:
+    """Where the edges of boxes belong, and the decision function of the boxes as they are.
+
+    Returns
+    -------
+    moved : ndarray of float, shape (n, 4)
+    scores : ndarray of float32, shape (n,)
+    """
+    boxes = on_whole_pixels(boxes)
+    outside = margins_outside(boxes, frame.shape)
+    outputs = detector.machine.predict(describe_patches(cut_patches(frame, boxes), outside))
+    return move_edges(boxes, outputs[:, 1:]), outputs[:, 0]

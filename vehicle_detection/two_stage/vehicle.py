@@ -128,8 +128,7 @@ class TwoStageVehicle(Viewer):
         levels = self._next_levels(road)
         proposals, _ = propose(rgb_frame, levels, self.detector.templates, self.params.scan)
         boxes = np.concatenate([self._predicted(), proposals])
-        candidates = refine(rgb_frame, boxes, self.detector, self.params.n_looks)
-        candidates = self._select(candidates, road)
+        candidates = self._select(refine(rgb_frame, boxes, self.detector), road)
         tracks = self._tracker.update(candidates.boxes, candidates.scores)
         confirmed = [i for i, track in enumerate(tracks) if track and track.is_confirmed]
         vehicles = stack_boxes([tracks[i].box for i in confirmed])
