@@ -173,25 +173,45 @@ def _propose_on_level(img, level, templates, scan):
     strip = img[level.top : level.bottom]
     size = level.columns, level.rows
     features = cell_features(cv2.resize(strip, size, interpolation=cv2.INTER_LINEAR))
+    windows, scores, owners = best_windows(features, templates, scan)
+    # Size of a cell in the frame; columns and rows were rounded each on their own.
+    x, y = WINDOW_CELL * strip.shape[1] / size[0], WINDOW_CELL * strip.shape[0] / size[1]
+    boxes = windows * (x, y, x, y) + (0, level.top, 0, level.top)
+    shifts = np.empty((len(boxes), 4))
+    for i in np.unique(owners):
+        shifts[owners == i] = window_shifts(features, windows[owners == i, :2], templates[i])
+    return move_edges(boxes, shifts), scores
+
+
+def best_windows(features: np.ndarray, templates: tuple, scan: Any) -> tuple:
+    """The best windows of a level that do not suppress each other.
+
+    Parameters
+    ----------
+    features : ndarray of float32, shape (rows, columns, CELL_FEATURES)
+    templates : tuple of Template
+    scan : ScanParams
+
+    Returns
+    -------
+    windows : ndarray of int, shape (n, 4)
+        Left, top, right, bottom in cells; at most `scan.n_proposals`, best first.
+    scores : ndarray of float32, shape (n,)
+    owners : ndarray of int, shape (n,)
+        Index of the template of each.
+    """
     windows, scores, owners = [], [], []
     for i, template in enumerate(templates):
         rows, columns, _ = template.weights.shape
-        level_scores = window_scores(features, template, scan.cells_per_step)
-        hot = np.nonzero(level_scores > scan.threshold)
-        scores.append(level_scores[hot])
+        all_scores = window_scores(features, template, scan.cells_per_step)
+        hot = np.nonzero(all_scores > scan.threshold)
         row, column = np.multiply(hot, scan.cells_per_step)
         windows.append(np.stack([column, row, column + columns, row + rows], axis=1))
+        scores.append(all_scores[hot])
         owners.append(np.full(len(row), i))
-    windows, scores, owners = map(np.concatenate, (windows, scores, owners))
-    best = suppress(windows, scores, scan.overlap)[: scan.n_proposals]
-    # Size of a cell in the frame; columns and rows were rounded each on their own.
-    x, y = WINDOW_CELL * strip.shape[1] / size[0], WINDOW_CELL * strip.shape[0] / size[1]
-    boxes = windows[best] * (x, y, x, y) + (0, level.top, 0, level.top)
-    shifts = np.empty((len(best), 4))
-    for i, template in enumerate(templates):
-        own = owners[best] == i
-        shifts[own] = window_shifts(features, windows[best][own, :2], template)
-    return move_edges(boxes, shifts), scores[best]
+    found = [np.concatenate(parts) for parts in (windows, scores, owners)]
+    best = suppress(found[0], found[1], scan.overlap)[: scan.n_proposals]
+    return tuple(part[best] for part in found)
 
 
 def window_shifts(features: np.ndarray, corners: np.ndarray, template: Any) -> np.ndarray:
