@@ -70,7 +70,7 @@ VARIANTS = {
     "no road (cost 0)": TwoStageParams(road=replace(DEFAULT_ROAD, cost=0)),
     "parts of better boxes stay (max_covered 1)": selection(max_covered=1),
     "lorries tell the road too (whole_car_aspect 0)": selection(whole_car_aspect=0),
-    "scores less 0.1 instead of 0.5 (score_offset)": tracks(score_offset=0.1),
+    "scores less 0.1 instead of 0.6 (score_offset)": tracks(score_offset=0.1),
     "confirmed at once (confirm_at 0)": tracks(confirm_at=0),
 }
 

@@ -322,7 +322,7 @@ class ScanParams:
     cells_per_step: int = 2
     n_groups: int = 3
     threshold: float = 0.0
-    n_proposals: int = 16
+    n_proposals: int = 12
     overlap: float = 0.5
 
     def __post_init__(self):
@@ -477,7 +477,7 @@ class TrackParams:
 
 # Boxes from heat have lasted already: one is enough, and is remembered for two seconds.
 HEAT_TRACKS = TrackParams(max_score=25.0)
-DEFAULT_TRACKS = TrackParams(confirm_at=2.0, max_score=8.0)
+DEFAULT_TRACKS = TrackParams(confirm_at=2.0, max_score=8.0, score_offset=0.6)
 
 
 @dataclass(frozen=True)
@@ -503,9 +503,8 @@ class TwoStageParams:
 VIDEO_PARAMS = TwoStageParams()
 # A still is scanned at all scales at once, and has no other frame to agree with.
 STILL_PARAMS = TwoStageParams(
-    scan=ScanParams(smallest=24, cells_per_step=1, n_groups=1, n_proposals=12),
-    # A score of 0.6, less the offset.
-    tracks=TrackParams(confirm_at=0.1),
+    scan=ScanParams(smallest=24, cells_per_step=1, n_groups=1),
+    tracks=TrackParams(score_offset=0.6),
 )
 
 

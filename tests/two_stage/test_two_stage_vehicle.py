@@ -1,5 +1,6 @@
 """`TwoStageVehicle`: the two-stage detector over a video."""
 
+import math
 from dataclasses import replace
 from itertools import islice
 
@@ -21,7 +22,7 @@ from vehicle_detection.two_stage.model import save_detector
 from vehicle_detection.two_stage.refinement import Candidates
 from vehicle_detection.two_stage.vehicle import TwoStageVehicle
 
-EAGER = TrackParams(confirm_at=0.2, max_score=2.0)
+EAGER = TrackParams(confirm_at=0.2, max_score=2.0, score_offset=0.1)
 
 
 @pytest.fixture
@@ -93,7 +94,7 @@ def test_a_vehicle_that_is_gone_is_dropped_once_its_score_is_used_up(scripted):
     # Five times the score less the offset is used up at the offset a frame.
     gathered = 5 * (1.5 - DEFAULT_TRACKS.score_offset)
     assert gathered < DEFAULT_TRACKS.max_score
-    n_frames = int(gathered / DEFAULT_TRACKS.score_offset)
+    n_frames = math.ceil(gathered / DEFAULT_TRACKS.score_offset)
     # What is proposed is looked at beside what is predicted.
     expected = [2] * 4 + [1] * n_frames + [0] * (12 - n_frames)
     assert [len(boxes) for boxes in looked_at[1:]] == expected
