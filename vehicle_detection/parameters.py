@@ -322,7 +322,7 @@ class ScanParams:
     cells_per_step: int = 2
     n_groups: int = 3
     threshold: float = 0.0
-    n_proposals: int = 12
+    n_proposals: int = 16
     overlap: float = 0.5
 
     def __post_init__(self):

@@ -104,19 +104,15 @@ def frame_boxes(item: tuple, templates: tuple, detector: Any, params: TrainingPa
 def frame_samples(
     item: tuple, templates: tuple, detector: Any, params: TrainingParams
 ) -> PatchSamples:
-    """Patches of a frame, see `frame_boxes`.
-
-    With a detector, only what it is not sure of is told to be a vehicle or not, but all
-    vehicles tell their edges.
-    """
+    """Patches of a frame, see `frame_boxes`; with a detector, only what it is not sure of."""
     img, boxes, labels, shifts = frame_boxes(item, templates, detector, params)
     patches = degrade(cut_patches(img, boxes), item[1])
     features = describe_patches(patches, margins_outside(boxes, img.shape))
-    if detector is not None:
-        right = np.where(labels == 1, 1, -1) * detector.machine.predict(features)[:, 0]
-        labels = np.where(right < params.sure_score, labels, -1)
     samples = PatchSamples(features.astype(np.float16), labels, shifts)
-    return samples.only((labels >= 0) | ~np.isnan(shifts[:, 0]))
+    if detector is None:
+        return samples
+    right = np.where(labels == 1, 1, -1) * detector.machine.predict(features)[:, 0]
+    return samples.only((labels >= 0) & (right < params.sure_score))
 
 
 def boxed_crop_samples(item: tuple, params: Any) -> PatchSamples:
