@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from vehicle_detection.compiled.hog import cell_histograms
+from vehicle_detection.compiled.threads import side_by_side
 from vehicle_detection.compiled.window_sums import correlate
 from vehicle_detection.two_stage.features import (
     CELL_FEATURES,
@@ -161,8 +162,7 @@ def propose(img: np.ndarray, levels: list, templates: tuple, scan: ScanParams) -
     """
     if not levels:
         return np.empty((0, 4)), np.empty(0, np.float32)
-    # One after the other: waking threads takes longer than a level.
-    found = [_propose_on_level(img, level, templates, scan) for level in levels]
+    found = side_by_side(lambda level: _propose_on_level(img, level, templates, scan), levels)
     boxes, scores = map(np.concatenate, zip(*found, strict=True))
     best = np.argsort(-scores, kind="stable")
     return boxes[best], scores[best]
