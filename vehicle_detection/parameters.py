@@ -312,7 +312,7 @@ class ScanParams:
         The best of each level that are refined. If they were taken from all levels together,
         the many small windows would crowd out the few large ones.
     overlap : float
-        IoU above which the worse of two windows is suppressed, between 0 and 1.
+        IoU above which the worse of two windows of a level is suppressed, between 0 and 1.
     """
 
     smallest: float = 26

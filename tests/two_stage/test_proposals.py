@@ -117,9 +117,9 @@ def test_a_window_is_moved_by_its_cells_and_those_around(row, column, template):
     padded = np.pad(cells, ((3, 3), (3, 3), (0, 0)), mode="edge")
     rows, columns = learned.shift_weights.shape[:2]
     own = padded[row : row + rows, column : column + columns]
-    if own.shape[:2] == (rows, columns):
-        expected = np.einsum("rcf,rcfk->k", own, learned.shift_weights) + learned.shift_bias
-        np.testing.assert_allclose(shift, expected, atol=1e-4)
+    assert own.shape[:2] == (rows, columns)
+    expected = np.einsum("rcf,rcfk->k", own, learned.shift_weights) + learned.shift_bias
+    np.testing.assert_allclose(shift, expected, atol=1e-4)
 
 
 def test_proposals_are_windows_that_were_moved():

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from sklearn.kernel_approximation import Nystroem
 from sklearn.linear_model import Ridge
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
+from sklearn.svm import LinearSVC
 
 from conftest import ROOT, random_detector, textured_image
 from pipeline_functions import convert_color
@@ -27,7 +29,12 @@ from vehicle_detection.parameters import (
     TrainingParams,
 )
 from vehicle_detection.tracking.boxes import best_iou, pairwise_iou, pairwise_overlap
-from vehicle_detection.two_stage.features import CELL_FEATURES, margins_outside, on_whole_pixels
+from vehicle_detection.two_stage.features import (
+    CELL_FEATURES,
+    N_FEATURES,
+    margins_outside,
+    on_whole_pixels,
+)
 from vehicle_detection.two_stage.proposals import (
     WINDOW_CELL,
     WINDOW_COLUMNS,
@@ -48,6 +55,7 @@ from vehicle_detection.two_stage.training.augmentation import (
 from vehicle_detection.two_stage.training.first_stage import (
     context_shape,
     fit_template,
+    shift_samples,
     window_features,
     with_shifts,
 )
@@ -61,6 +69,7 @@ from vehicle_detection.two_stage.training.footage import (
 )
 from vehicle_detection.two_stage.training.machines import (
     cluster_centers,
+    fit_linear_svm,
     fit_machine,
     fit_shifts,
     kernel_factor,
@@ -80,6 +89,7 @@ from vehicle_detection.two_stage.training.second_stage import (
     boxed_crop_samples,
     frame_boxes,
     frame_samples,
+    train_second_stage,
 )
 from vehicle_detection.two_stage.vehicle import TwoStageVehicle
 
@@ -367,6 +377,29 @@ def test_a_crop_ends_only_where_it_cuts_the_vehicle(monkeypatch, box, ends):
     assert (samples.labels == -1).all()
 
 
+def test_every_boxed_crop_is_looked_at_eight_times(monkeypatch):
+    learned = []
+    monkeypatch.setattr(second_stage, "fit_machine", lambda samples, *_: learned.append(samples))
+    crops = [crop_of((6, 8, 58, 60), seed) for seed in range(3)]
+    train_second_stage(TrainingSet([], [], [], crops, []), (), 0, 1, DEFAULT_TRAINING)
+    features = learned[0].features
+    assert features.shape[1] == N_FEATURES and len(features) == len(learned[0].shifts)
+    # Three windows each; of some the cut frame leaves too little.
+    assert 0.6 * 72 < len(features) <= 72
+    assert len(np.unique(features, axis=0)) == len(features)
+
+
+def test_windows_on_vehicles_tell_edges_and_others_do_not(scenes, detector):
+    (example,) = read_footage(scenes / "train", scenes / "train.txt", "3:3")
+    samples = shift_samples((example, np.random.default_rng(5)), detector.templates, SMALL)
+    assert len(samples) > 0
+    for i, cells, shift in samples:
+        assert cells.shape == (*context_shape(WINDOW_COLUMNS[i]), CELL_FEATURES)
+        assert np.isfinite(shift).all() and np.abs(shift).max() < 1.5
+    none = replace(example, required=example.required & False, visibility=0 * example.visibility)
+    assert shift_samples((none, np.random.default_rng(5)), detector.templates, SMALL) == []
+
+
 def test_a_frame_teaches_vehicles_background_and_edges(scenes, detector):
     (example,) = read_footage(scenes / "train", scenes / "train.txt", "3:3")
     templates = detector.templates
@@ -387,6 +420,7 @@ def test_a_frame_teaches_vehicles_background_and_edges(scenes, detector):
     np.testing.assert_allclose(moved[len(boxes) :], again)
     hard = frame_samples((example, np.random.default_rng(5)), templates, detector, SMALL)
     scores = detector.machine.predict(hard.features.astype(np.float32))[:, 0]
+    assert (hard.labels >= 0).all()
     assert (scores * (2 * hard.labels - 1) < SMALL.sure_score + 0.02).all()
     assert 0 < len(hard.labels) < 2 * (labels >= 0).sum()
 
@@ -483,6 +517,17 @@ def test_shifts_are_ridge_regression_on_scaled_features():
     np.testing.assert_allclose(features @ weights + bias, expected.predict(features), atol=1e-3)
 
 
+@pytest.mark.parametrize("C", [0.01, 1.0])
+def test_the_svm_is_that_of_liblinear(C):
+    rng = np.random.default_rng(4)
+    features = rng.normal(size=(600, 20)).astype(np.float32)
+    labels = (features[:, 0] + 0.5 * rng.normal(size=600) > 0.8).astype(int)
+    svm = LinearSVC(C=C, dual=False, class_weight="balanced", tol=1e-8).fit(features, labels)
+    coef, intercept = fit_linear_svm(features, labels, C)
+    np.testing.assert_allclose(coef, svm.coef_[0], atol=2e-3)
+    assert intercept == pytest.approx(svm.intercept_[0], abs=2e-3)
+
+
 def test_clusters_or_the_samples_themselves():
     rng = np.random.default_rng(0)
     middles = np.array([(0, 0), (10, 0), (0, 10)])
@@ -547,6 +592,7 @@ def test_the_same_seed_trains_the_same_detector(scenes, detector):
     again = trained(scenes)
     for one, other in zip(detector.templates, again.templates, strict=True):
         np.testing.assert_allclose(one.weights, other.weights, atol=1e-5)
+        np.testing.assert_allclose(one.shift_weights, other.shift_weights, atol=1e-5)
     one, other = detector.machine, again.machine
     np.testing.assert_allclose(one.weights, other.weights, rtol=0.05, atol=0.01)
 

@@ -12,10 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from vehicle_detection.media.files import written_whole
-from vehicle_detection.two_stage.features import (
-    CELL_FEATURES,
-    N_FEATURES,
-)
+from vehicle_detection.two_stage.features import CELL_FEATURES, N_FEATURES
 from vehicle_detection.two_stage.proposals import WINDOW_COLUMNS, WINDOW_CONTEXT, WINDOW_ROWS
 
 FORMAT_VERSION = 10
@@ -130,7 +127,7 @@ def _checksum(arrays):
 
 def _half(value):
     """Large arrays at half their precision, which no score shows in its second digit."""
-    return value.astype(np.float16) if np.size(value) > 10_000 else value
+    return value.astype(np.float16) if np.size(value) > 100_000 else value
 
 
 def load_detector(path: str | os.PathLike) -> Detector:

@@ -30,7 +30,7 @@ class Candidates:
     ----------
     boxes : ndarray of float, shape (n, 4)
     scores : ndarray of float, shape (n,)
-        Decision function of the second stage, positive for vehicles.
+        Decision function of the second stage at the last look, positive for vehicles.
     """
 
     boxes: np.ndarray

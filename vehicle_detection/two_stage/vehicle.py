@@ -34,7 +34,7 @@ class Detections:
     Attributes
     ----------
     proposals : ndarray of float, shape (n, 4)
-        Windows of the first stage, in pixels of the frame as read, like all boxes.
+        Windows of the first stage, moved, in pixels of the frame as read, like all boxes.
     candidates : ndarray of float, shape (m, 4)
         Refined predictions and proposals that passed the selection.
     candidate_scores : ndarray of float, shape (m,)

@@ -105,9 +105,8 @@ def fit_machine(
            Approximation and Error Analysis", ICML 2008.
     """
     clear = rng.permutation(np.flatnonzero(samples.labels >= 0))[: params.most_patches]
-    known = np.flatnonzero(~np.isnan(samples.shifts[:, 0]))
     features, labels = samples.features[clear], samples.labels[clear]
-    print(f"patches: {len(clear)}, {labels.mean():.0%} vehicles, {len(known)} with edges")
+    print(f"patches: {len(clear)}, {labels.mean():.0%} vehicles")
     n_components, n_centers = params.machine_size
     projection, offset = fit_components(features, n_components, rng)
     components = apply_components(features, projection, offset)
@@ -119,9 +118,14 @@ def fit_machine(
     mapped = kernel_map(components, centers, gamma, factor)
     coef, intercept = fit_linear_svm(mapped, labels, params.machine_C)
     scale = params.vehicle_score / np.median(mapped[labels > 0] @ coef + intercept)
+    known = rng.permutation(np.flatnonzero(~np.isnan(samples.shifts[:, 0])))[: params.most_patches]
+    print(f"edges: {len(known)} patches")
     components = apply_components(samples.features[known], projection, offset)
+    # The one before goes first: each takes more than a gigabyte.
+    del mapped
     mapped = kernel_map(components, centers, gamma, factor)
-    ridge = Ridge(params.machine_alpha, solver="cholesky").fit(mapped, samples.shifts[known])
+    ridge = Ridge(params.machine_alpha, solver="cholesky", copy_X=False)
+    ridge.fit(mapped, samples.shifts[known])
     coefs = np.vstack([scale * coef, ridge.coef_])
     weights = solve_triangular(factor, coefs.T, lower=True, trans="T").T
     # One row after the other, as they are multiplied.

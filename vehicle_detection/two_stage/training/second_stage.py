@@ -79,7 +79,7 @@ def frame_boxes(item: tuple, templates: tuple, detector: Any, params: TrainingPa
     item : (Example, numpy.random.Generator)
     templates : tuple of Template
     detector : Detector or None
-        Every box is learned from where it moves it, too: it will be looked at again there.
+        Every box is learned from where it leaves it, too: tracks look there again.
     params : TrainingParams
 
     Returns
@@ -115,7 +115,7 @@ def frame_samples(
     return samples.only((labels >= 0) & (right < params.sure_score))
 
 
-def boxed_crop_samples(item: tuple, params: Any) -> PatchSamples:
+def boxed_crop_samples(item: tuple, params: TrainingParams) -> PatchSamples:
     """A vehicle that was cut out of a frame with a margin: it tells where its edges are."""
     example, rng = item
     img, vehicles, required = random_camera(example, rng)
