@@ -504,7 +504,7 @@ VIDEO_PARAMS = TwoStageParams()
 # A still is scanned at all scales at once, and has no other frame to agree with.
 STILL_PARAMS = TwoStageParams(
     scan=ScanParams(smallest=24, cells_per_step=1, n_groups=1),
-    tracks=TrackParams(score_offset=0.6),
+    tracks=TrackParams(score_offset=DEFAULT_TRACKS.score_offset),
 )
 
 

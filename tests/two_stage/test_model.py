@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from sklearn.metrics.pairwise import rbf_kernel
 
 from conftest import random_boxes, random_detector, textured_image
+from vehicle_detection.tracking.boxes import move_edges
 from vehicle_detection.two_stage.model import (
     FORMAT_VERSION,
     KernelMachine,
     load_detector,
     save_detector,
 )
-from vehicle_detection.two_stage.proposals import move_edges
 from vehicle_detection.two_stage.refinement import refine
 
 

@@ -122,13 +122,19 @@ def test_a_window_is_moved_by_its_cells_and_those_around(row, column, template):
     np.testing.assert_allclose(shift, expected, atol=1e-4)
 
 
-def test_proposals_are_windows_that_were_moved():
-    img, templates = textured_image(2, 90, 400), random_detector(2).templates
+def every_window(img, n_proposals):
+    """One level of which every window may be proposed, and the scan that says so."""
     scan = ScanParams(
         smallest=150, largest=150, cells_per_step=1, n_groups=1, threshold=-np.inf,
-        n_proposals=3,
+        n_proposals=n_proposals,
     )  # fmt: skip
-    ((level,),) = level_groups(img.shape[:2], scan, anywhere(90))
+    ((level,),) = level_groups(img.shape[:2], scan, anywhere(len(img)))
+    return scan, level
+
+
+def test_proposals_are_windows_that_were_moved():
+    img, templates = textured_image(2, 90, 400), random_detector(2).templates
+    scan, level = every_window(img, n_proposals=3)
     moved, scores = propose(img, [level], templates, scan)
     still = still_templates(2)
     windows, own_scores = propose(img, [level], still, scan)
@@ -145,11 +151,7 @@ def test_proposals_are_windows_that_were_moved():
 @given(n_proposals=st.integers(1, 6), seed=st.integers(0, 1000))
 def test_the_best_windows_are_proposed(n_proposals, seed):
     img, templates = textured_image(seed, 90, 400), still_templates(seed)
-    scan = ScanParams(
-        smallest=150, largest=150, cells_per_step=1, n_groups=1, threshold=-np.inf,
-        n_proposals=300,
-    )  # fmt: skip
-    ((level,),) = level_groups(img.shape[:2], scan, anywhere(90))
+    scan, level = every_window(img, n_proposals=300)
     every, _ = propose(img, [level], templates, scan)
     boxes, scores = propose(img, [level], templates, replace(scan, n_proposals=n_proposals))
     np.testing.assert_allclose(boxes, every[:n_proposals])

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from conftest import random_boxes, random_detector, textured_image
+from vehicle_detection.tracking.boxes import move_edges
 from vehicle_detection.two_stage.features import (
     cut_patches,
     describe_patches,
     margins_outside,
     on_whole_pixels,
 )
-from vehicle_detection.two_stage.proposals import move_edges
 from vehicle_detection.two_stage.refinement import look, refine
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+_MOST_SHIFT = 0.49
+
 
 def box_heights(boxes: np.ndarray) -> np.ndarray:
     """Heights of boxes, shape (n,)."""
@@ -65,3 +67,12 @@ def touches_border(boxes: np.ndarray, frame_shape: tuple, share: float) -> np.nd
 def stack_boxes(boxes: list) -> np.ndarray:
     """A list of single boxes as one array of shape (n, 4), also if the list is empty."""
     return np.array(boxes, float).reshape(-1, 4)
+
+
+def move_edges(boxes: np.ndarray, shifts: np.ndarray) -> np.ndarray:
+    """Boxes with each edge moved by a share of the box's width or height.
+
+    By less than half, so that the left edge stays left of the right one.
+    """
+    size = boxes[:, 2:] - boxes[:, :2]
+    return boxes + np.clip(shifts, -_MOST_SHIFT, _MOST_SHIFT) * np.hstack([size, size])

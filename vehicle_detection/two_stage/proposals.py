@@ -17,6 +17,7 @@ import numpy as np
 from vehicle_detection.compiled.hog import cell_histograms
 from vehicle_detection.compiled.threads import side_by_side
 from vehicle_detection.compiled.window_sums import correlate
+from vehicle_detection.tracking.boxes import move_edges
 from vehicle_detection.two_stage.features import (
     CELL_FEATURES,
     ORIENTATIONS,
@@ -37,7 +38,6 @@ WINDOW_CELL = 4
 WINDOW_CONTEXT = 3
 # A cell is normalised by the mean energy of so many cells each way.
 SURROUNDINGS = 9
-_MOST_SHIFT = 0.49
 # Suppression compares each box with each: only so many of the best.
 _MOST_BOXES = 400
 
@@ -242,15 +242,6 @@ def window_shifts(features: np.ndarray, corners: np.ndarray, template: Any) -> n
     )
     cells = features[row[:, :, None], column[:, None, :]]
     return np.tensordot(cells, template.shift_weights, 3) + template.shift_bias
-
-
-def move_edges(boxes: np.ndarray, shifts: np.ndarray) -> np.ndarray:
-    """Boxes with each edge moved by a share of the box's width or height.
-
-    By less than half, so that the left edge stays left of the right one.
-    """
-    size = boxes[:, 2:] - boxes[:, :2]
-    return boxes + np.clip(shifts, -_MOST_SHIFT, _MOST_SHIFT) * np.hstack([size, size])
 
 
 def suppress(boxes: np.ndarray, scores: np.ndarray, overlap: float) -> np.ndarray:

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
+from vehicle_detection.tracking.boxes import move_edges
 from vehicle_detection.two_stage.features import (
     cut_patches,
     describe_patches,
     margins_outside,
     on_whole_pixels,
 )
-from vehicle_detection.two_stage.proposals import move_edges
 
 if TYPE_CHECKING:
     from vehicle_detection.two_stage.model import Detector

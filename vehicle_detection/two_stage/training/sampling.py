@@ -6,8 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vehicle_detection.tracking.boxes import best_iou, box_areas, pairwise_iou, pairwise_overlap
-from vehicle_detection.two_stage.proposals import move_edges
+from vehicle_detection.tracking.boxes import (
+    best_iou,
+    box_areas,
+    move_edges,
+    pairwise_iou,
+    pairwise_overlap,
+)
 
 # Of the edges of a box, in widths and heights: how far a proposal may be off.
 _PROPOSAL_JITTERS = (0.04, 0.1, 0.1)
