@@ -47,3 +47,18 @@ def test_what_scores_as_a_vehicle_is_looked_at_again():
     np.testing.assert_allclose(found.scores[hot], second_scores[hot], atol=1e-4)
     np.testing.assert_allclose(found.boxes[~hot], first_boxes[~hot], atol=1e-3)
     np.testing.assert_allclose(found.scores[~hot], first_scores[~hot], atol=1e-4)
+
+
+def test_predictions_are_looked_at_once():
+    img, detector = textured_image(4, 240, 320), random_detector(0)
+    boxes = random_boxes(np.random.default_rng(0), 20)
+    once_boxes, once_scores = look(img, boxes, detector)
+    first_hot = int(np.argmax(once_scores > 0))
+    found = refine(img, boxes, detector, n_predicted=first_hot + 1)
+    np.testing.assert_allclose(found.boxes[: first_hot + 1], once_boxes[: first_hot + 1], atol=1e-3)
+    np.testing.assert_allclose(
+        found.scores[: first_hot + 1], once_scores[: first_hot + 1], atol=1e-4
+    )
+    others = refine(img, boxes[first_hot + 1 :], detector)
+    np.testing.assert_allclose(found.boxes[first_hot + 1 :], others.boxes, atol=1e-3)
+    np.testing.assert_allclose(found.scores[first_hot + 1 :], others.scores, atol=1e-4)

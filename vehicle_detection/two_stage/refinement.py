@@ -41,10 +41,13 @@ class Candidates:
         return Candidates(self.boxes[chosen], self.scores[chosen])
 
 
-def refine(frame: np.ndarray, boxes: np.ndarray, detector: Detector) -> Candidates:
-    """Score boxes and move their edges to where they belong; vehicles twice.
+def refine(
+    frame: np.ndarray, boxes: np.ndarray, detector: Detector, n_predicted: int = 0
+) -> Candidates:
+    """Score boxes and move their edges to where they belong; new vehicles twice.
 
-    A box that is off scores low. What scores above 0 is looked at again where it was moved.
+    A box that is off scores low. A proposal that scores above 0 is looked at again where it was
+    moved. What a track predicts was moved in the frame before.
 
     Parameters
     ----------
@@ -52,6 +55,8 @@ def refine(frame: np.ndarray, boxes: np.ndarray, detector: Detector) -> Candidat
         RGB.
     boxes : ndarray of float, shape (n, 4)
     detector : Detector
+    n_predicted : int
+        So many of the first boxes are predictions of tracks.
 
     Returns
     -------
@@ -61,6 +66,7 @@ def refine(frame: np.ndarray, boxes: np.ndarray, detector: Detector) -> Candidat
     with _LIBRARIES.limit(limits=1, user_api="blas"):
         moved, scores = look(frame, boxes, detector)
         again = scores > 0
+        again[:n_predicted] = False
         moved[again], scores[again] = look(frame, moved[again], detector)
     return Candidates(moved, scores)
 

@@ -127,8 +127,10 @@ class TwoStageVehicle(Viewer):
         road = self._memory.road(len(rgb_frame))
         levels = self._next_levels(road)
         proposals, _ = propose(rgb_frame, levels, self.detector.templates, self.params.scan)
-        boxes = np.concatenate([self._predicted(), proposals])
-        candidates = self._select(refine(rgb_frame, boxes, self.detector), road)
+        predicted = self._predicted()
+        boxes = np.concatenate([predicted, proposals])
+        refined = refine(rgb_frame, boxes, self.detector, len(predicted))
+        candidates = self._select(refined, road)
         tracks = self._tracker.update(candidates.boxes, candidates.scores)
         confirmed = [i for i, track in enumerate(tracks) if track and track.is_confirmed]
         vehicles = stack_boxes([tracks[i].box for i in confirmed])
