@@ -318,7 +318,7 @@ class ScanParams:
     smallest: float = 26
     largest: float = 400
     reference_width: float = 1280
-    ratio: float = 1.25
+    ratio: float = 1.35
     cells_per_step: int = 2
     n_groups: int = 3
     threshold: float = 0.0
