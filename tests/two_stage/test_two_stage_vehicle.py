@@ -163,7 +163,7 @@ def test_frames_of_two_sizes_are_refused(path):
 
 
 def test_pictures_show_the_vehicles(path):
-    vehicle = TwoStageVehicle(None, path, replace(STILL_PARAMS, tracks=TrackParams()))
+    vehicle = TwoStageVehicle(None, path, replace(STILL_PARAMS, tracks=EAGER))
     (frame,) = frames(1)
     drawn = vehicle.process_image(frame)
     vehicle.reset()
