@@ -318,7 +318,7 @@ class ScanParams:
     smallest: float = 26
     largest: float = 400
     reference_width: float = 1280
-    ratio: float = 1.35
+    ratio: float = 1.25
     cells_per_step: int = 2
     n_groups: int = 3
     threshold: float = 0.0
@@ -477,7 +477,7 @@ class TrackParams:
 
 # Boxes from heat have lasted already: one is enough, and is remembered for two seconds.
 HEAT_TRACKS = TrackParams(max_score=25.0)
-DEFAULT_TRACKS = TrackParams(confirm_at=2.0, max_score=8.0, score_offset=0.6)
+DEFAULT_TRACKS = TrackParams(process_noise=0.15, confirm_at=2.0, max_score=8.0, score_offset=0.6)
 
 
 @dataclass(frozen=True)
