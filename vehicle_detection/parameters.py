@@ -477,6 +477,7 @@ class TrackParams:
 
 # Boxes from heat have lasted already: one is enough, and is remembered for two seconds.
 HEAT_TRACKS = TrackParams(max_score=25.0)
+# A prediction is scored where it lies, so these tracks follow faster.
 DEFAULT_TRACKS = TrackParams(process_noise=0.15, confirm_at=2.0, max_score=8.0, score_offset=0.6)
 
 
