@@ -65,7 +65,8 @@ def scripted(monkeypatch):
             boxes = np.array([box for box, _ in rows], float).reshape(-1, 4)
             scores = [score for _, score in rows]
 
-            def refine(_, looked, *__, boxes=boxes, scores=scores):
+            def refine(_, looked, __, n_predicted, boxes=boxes, scores=scores):
+                assert len(looked) == n_predicted + len(boxes)
                 looked_at.append(looked)
                 return Candidates(boxes, np.array(scores))
 

@@ -44,7 +44,7 @@ class Candidates:
 def refine(
     frame: np.ndarray, boxes: np.ndarray, detector: Detector, n_predicted: int = 0
 ) -> Candidates:
-    """Score boxes and move their edges to where they belong; new vehicles twice.
+    """Score boxes and move their edges to where they belong, some twice.
 
     A box that is off scores low. A proposal that scores above 0 is looked at again where it was
     moved. What a track predicts was moved in the frame before.
