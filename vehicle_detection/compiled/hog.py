@@ -40,6 +40,8 @@ _A1, _A3, _A5, _A7, _A9 = (
 _WORTH_A_THREAD = 100_000
 
 _UNSETTLED = np.int32(-1)
+# Pixels left out that there is room for at first: most images have fewer.
+_FEW = 1000
 # In bins; some ten times the error of the polynomial for 32 orientations.
 _EDGE_MARGIN = np.float32(1e-3)
 
@@ -111,8 +113,12 @@ def cell_histograms(img: np.ndarray, orientations: int, pix_per_cell: int) -> np
 
     def vote(first, last):
         """Let the pixels of the cell rows first..last vote; returns those that are left out."""
-        unsettled = np.empty(((last - first) * pix_per_cell * columns * channels, 5))
-        return unsettled[: _vote(img, pix_per_cell, first, last, histograms, unsettled)]
+        unsettled, count = np.empty((0, 5)), _FEW
+        while count > len(unsettled):
+            unsettled = np.empty((count, 5))
+            histograms[:, first:last] = 0
+            count = _vote(img, pix_per_cell, first, last, histograms, unsettled)
+        return unsettled[:count]
 
     unsettled = np.concatenate(share(vote, cell_rows, 1 + img.size // _WORTH_A_THREAD))
     if len(unsettled):
@@ -202,7 +208,7 @@ def _vote(img, pix_per_cell, first_cell_row, last_cell_row, histograms, unsettle
     """Add the magnitude of the pixels of some rows to their cells; list those left out.
 
     A row of `unsettled` is a pixel's channel, cell row, cell column, and gradient
-    along rows and columns. Returns how many there are.
+    along rows and columns. Returns how many there are, of which the last may find no room.
     """
     rows, columns, channels = img.shape
     _, _, cell_columns, orientations = histograms.shape
@@ -236,9 +242,10 @@ def _vote(img, pix_per_cell, first_cell_row, last_cell_row, histograms, unsettle
                         y, x = _precise_gradient(img, channel, row, column)
                         k = _precise_bin(y, x, orientations)
                         if k < 0:
-                            left_out = unsettled[n_unsettled]
-                            left_out[0], left_out[1] = channel, row // pix_per_cell
-                            left_out[2], left_out[3], left_out[4] = cell, y, x
+                            if n_unsettled < len(unsettled):
+                                left_out = unsettled[n_unsettled]
+                                left_out[0], left_out[1] = channel, row // pix_per_cell
+                                left_out[2], left_out[3], left_out[4] = cell, y, x
                             n_unsettled += 1
                             continue
                     cells[cell, np.uint32(k)] += magnitudes[column]

@@ -113,3 +113,52 @@ def _correlate(cells, weights, step, first, last, sums):
                     c += np.float32(of_c[n]) * own[n]
                     d += np.float32(of_d[n]) * own[n]
             sums[i, k0], sums[i, k1], sums[i, k2], sums[i, k3] = a, b, c, d
+
+
+def sums_at(cells: np.ndarray, corners: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Several sums of products of weights with the cells of some windows.
+
+    Parameters
+    ----------
+    cells : ndarray of float32, shape (rows, columns, depth)
+        C-contiguous; outside of them, the cells at their edge go on.
+    corners : ndarray of int64, shape (n, 2)
+        First column and row of each window.
+    weights : ndarray of float32, shape (window rows, window columns, depth, 4)
+        C-contiguous.
+
+    Returns
+    -------
+    sums : ndarray of float32, shape (n, 4)
+
+    Raises
+    ------
+    ValueError
+        The weights are of another depth, or not of four sums; there are no cells.
+    """
+    if weights.shape[2:] != (cells.shape[2], 4) or not cells.size:
+        raise ValueError(f"weights of {weights.shape} for cells of {cells.shape}")
+    return _sums_at(cells, corners, weights)
+
+
+@compiled(**_COMPILE, fastmath=_SUMS)
+def _sums_at(cells, corners, weights):
+    """`sums_at`, without looking at its arguments."""
+    n_rows, n_columns, depth = cells.shape
+    rows, columns, _, _ = weights.shape
+    sums = np.empty((len(corners), 4), np.float32)
+    zero = np.float32(0)
+    for i in range(len(corners)):
+        a, b, c, d = zero, zero, zero, zero
+        for row in range(rows):
+            own_row = min(max(corners[i, 1] + row, 0), n_rows - 1)
+            for column in range(columns):
+                own_column = min(max(corners[i, 0] + column, 0), n_columns - 1)
+                cell, of_cell = cells[own_row, own_column], weights[row, column]
+                for n in range(depth):
+                    a += cell[n] * of_cell[n, 0]
+                    b += cell[n] * of_cell[n, 1]
+                    c += cell[n] * of_cell[n, 2]
+                    d += cell[n] * of_cell[n, 3]
+        sums[i, 0], sums[i, 1], sums[i, 2], sums[i, 3] = a, b, c, d
+    return sums

@@ -16,7 +16,7 @@ import numpy as np
 
 from vehicle_detection.compiled.hog import cell_histograms
 from vehicle_detection.compiled.threads import side_by_side
-from vehicle_detection.compiled.window_sums import correlate
+from vehicle_detection.compiled.window_sums import correlate, sums_at
 from vehicle_detection.tracking.boxes import move_edges
 from vehicle_detection.two_stage.features import (
     CELL_FEATURES,
@@ -162,14 +162,14 @@ def propose(img: np.ndarray, levels: list, templates: tuple, scan: ScanParams) -
     """
     if not levels:
         return np.empty((0, 4)), np.empty(0, np.float32)
-    found = side_by_side(lambda level: _propose_on_level(img, level, templates, scan), levels)
-    boxes, scores = map(np.concatenate, zip(*found, strict=True))
+    found = side_by_side(lambda level: _windows_of_level(img, level, templates, scan), levels)
+    boxes, shifts, scores = map(np.concatenate, zip(*found, strict=True))
     best = np.argsort(-scores, kind="stable")
-    return boxes[best], scores[best]
+    return move_edges(boxes[best], shifts[best]), scores[best]
 
 
-def _propose_on_level(img, level, templates, scan):
-    """The best windows of one level, as `propose`."""
+def _windows_of_level(img, level, templates, scan):
+    """The best windows of one level in pixels of the frame, their shifts and scores."""
     strip = img[level.top : level.bottom]
     size = level.columns, level.rows
     features = cell_features(cv2.resize(strip, size, interpolation=cv2.INTER_LINEAR))
@@ -178,9 +178,9 @@ def _propose_on_level(img, level, templates, scan):
     x, y = WINDOW_CELL * strip.shape[1] / size[0], WINDOW_CELL * strip.shape[0] / size[1]
     boxes = windows * (x, y, x, y) + (0, level.top, 0, level.top)
     shifts = np.empty((len(boxes), 4))
-    for i in np.unique(owners):
+    for i in set(owners.tolist()):
         shifts[owners == i] = window_shifts(features, windows[owners == i, :2], templates[i])
-    return move_edges(boxes, shifts), scores
+    return boxes, shifts, scores
 
 
 def best_windows(features: np.ndarray, templates: tuple, scan: Any) -> tuple:
@@ -200,18 +200,20 @@ def best_windows(features: np.ndarray, templates: tuple, scan: Any) -> tuple:
     owners : ndarray of int, shape (n,)
         Index of the template of each.
     """
-    windows, scores, owners = [], [], []
-    for i, template in enumerate(templates):
-        rows, columns, _ = template.weights.shape
-        all_scores = window_scores(features, template, scan.cells_per_step)
-        hot = np.nonzero(all_scores > scan.threshold)
-        row, column = np.multiply(hot, scan.cells_per_step)
-        windows.append(np.stack([column, row, column + columns, row + rows], axis=1))
-        scores.append(all_scores[hot])
-        owners.append(np.full(len(row), i))
-    found = [np.concatenate(parts) for parts in (windows, scores, owners)]
-    best = suppress(found[0], found[1], scan.overlap)[: scan.n_proposals]
-    return tuple(part[best] for part in found)
+    step = scan.cells_per_step
+    maps = [window_scores(features, template, step) for template in templates]
+    flat = np.concatenate([scores.ravel() for scores in maps])
+    hot = np.flatnonzero(flat > scan.threshold)
+    ends = np.cumsum([scores.size for scores in maps])
+    owners = np.searchsorted(ends, hot, side="right")
+    first = np.array([0, *ends])[owners]
+    n_columns = np.array([scores.shape[1] for scores in maps])[owners]
+    sides = np.array([template.weights.shape[:2] for template in templates])[owners]
+    row, column = np.divmod(hot - first, n_columns)
+    top_left = step * np.stack([column, row], axis=1)
+    windows = np.hstack([top_left, top_left + sides[:, ::-1]])
+    best = suppress(windows, flat[hot], scan.overlap)[: scan.n_proposals]
+    return windows[best], flat[hot[best]], owners[best]
 
 
 def window_shifts(features: np.ndarray, corners: np.ndarray, template: Any) -> np.ndarray:
@@ -235,13 +237,8 @@ def window_shifts(features: np.ndarray, corners: np.ndarray, template: Any) -> n
     .. [1] R. Girshick, J. Donahue, T. Darrell and J. Malik, "Rich feature hierarchies for
            accurate object detection and semantic segmentation", CVPR 2014, appendix C.
     """
-    sides = template.shift_weights.shape[:2]
-    column, row = (
-        np.clip(first[:, None] - WINDOW_CONTEXT + np.arange(side), 0, length - 1)
-        for first, side, length in zip(corners.T, sides[::-1], features.shape[1::-1], strict=True)
-    )
-    cells = features[row[:, :, None], column[:, None, :]]
-    return np.tensordot(cells, template.shift_weights, 3) + template.shift_bias
+    corners = corners.astype(np.int64) - WINDOW_CONTEXT
+    return sums_at(features, corners, template.shift_weights) + template.shift_bias
 
 
 def suppress(boxes: np.ndarray, scores: np.ndarray, overlap: float) -> np.ndarray:
