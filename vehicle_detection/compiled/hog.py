@@ -37,7 +37,7 @@ _A1, _A3, _A5, _A7, _A9 = (
 )
 
 # Operations that take longer than waking a thread.
-_WORTH_A_THREAD = 100_000
+_WORTH_A_THREAD = 300_000
 
 _UNSETTLED = np.int32(-1)
 # Pixels left out that there is room for at first: most images have fewer.

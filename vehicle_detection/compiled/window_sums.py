@@ -14,7 +14,7 @@ _COMPILE = dict(error_model="numpy")
 # Several terms of a sum at once: no order of them is the right one.
 _SUMS = {"reassoc", "contract", "nsz"}
 # Products that take longer than waking a thread.
-_WORTH_A_THREAD = 800_000
+_WORTH_A_THREAD = 20_000_000
 
 
 @compiled(**_COMPILE)
