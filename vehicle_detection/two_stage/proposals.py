@@ -253,8 +253,11 @@ def suppress(boxes: np.ndarray, scores: np.ndarray, overlap: float) -> np.ndarra
     """
     if not len(boxes):
         return np.empty(0, int)
+    # OpenCV could pick them, but takes thousands of boxes one by one.
+    best = np.argsort(-scores, kind="stable")[:_MOST_BOXES]
+    boxes, scores = boxes[best], scores[best]
     sizes = np.hstack([boxes[:, :2], boxes[:, 2:] - boxes[:, :2]]).astype(float)
     # OpenCV takes no threshold below zero.
-    above_zero = (scores - scores.min() + 1).astype(np.float32)
-    best = cv2.dnn.NMSBoxes(list(sizes), above_zero, 0.0, overlap, top_k=_MOST_BOXES)
-    return np.asarray(best, int)
+    above_zero = (scores - scores[-1] + 1).astype(np.float32)
+    kept = cv2.dnn.NMSBoxes(sizes, above_zero, 0.0, overlap)
+    return best[np.asarray(kept, int)]
