@@ -8,7 +8,7 @@ from skimage.feature import hog
 
 from conftest import textured_image
 from vehicle_detection.compiled.hog import cell_histograms, hog_blocks
-from vehicle_detection.compiled.window_sums import correlate, tile_histograms
+from vehicle_detection.compiled.window_sums import correlate, sums_at, tile_histograms
 
 
 def reference(img, orientations, cell, block):
@@ -55,6 +55,13 @@ def test_gradients_on_the_edge_of_a_bin(seed, orientations, levels):
     img = rng.choice(np.array(levels, np.uint8), size=(48, 48, 2))
     expected = reference(img, orientations, 8, 2)
     np.testing.assert_allclose(hog_blocks(img, orientations, 8, 2), expected, atol=2e-6)
+
+
+def test_more_undecided_pixels_than_there_is_room_for_at_first():
+    # Gradients of 30 and 60 degrees, edges of bins, in every third pixel.
+    img = np.random.default_rng(0).choice(np.array([0, 1, 3, 4], np.uint8), size=(160, 160, 1))
+    expected = reference(img, 12, 8, 2)
+    np.testing.assert_allclose(hog_blocks(img, 12, 8, 2), expected, atol=2e-6)
 
 
 def test_flat_image_has_no_gradient():
@@ -135,3 +142,25 @@ def test_correlate_refuses_windows_outside():
         correlate(cells, weights, 2, (3, 3))
     with pytest.raises(ValueError, match="weights of"):
         correlate(cells, weights[..., :1], 2, (2, 3))
+
+
+@given(st.tuples(*[st.integers(1, 5)] * 5), st.integers(0, 4), st.integers(0, 2**32 - 1))
+def test_sums_at_windows_that_may_lie_outside(sides, n_windows, seed):
+    rows, columns, depth, height, width = sides
+    rng = np.random.default_rng(seed)
+    cells = rng.normal(size=(rows, columns, depth)).astype(np.float32)
+    weights = rng.normal(size=(height, width, depth, 4)).astype(np.float32)
+    corners = rng.integers(-7, 8, size=(n_windows, 2))
+    padded = np.pad(cells, ((12, 12), (12, 12), (0, 0)), mode="edge")
+    windows = [padded[y + 12 : y + 12 + height, x + 12 : x + 12 + width] for x, y in corners]
+    expected = np.array([np.tensordot(window, weights, 3) for window in windows]).reshape(-1, 4)
+    np.testing.assert_allclose(sums_at(cells, corners, weights), expected, atol=1e-3)
+
+
+def test_sums_at_refuses_what_does_not_fit():
+    cells, corners = np.zeros((4, 6, 2), np.float32), np.zeros((1, 2), int)
+    for shape in ((2, 2, 3, 4), (2, 2, 2, 3)):
+        with pytest.raises(ValueError, match="weights of"):
+            sums_at(cells, corners, np.ones(shape, np.float32))
+    with pytest.raises(ValueError, match="weights of"):
+        sums_at(cells[:0], corners, np.ones((2, 2, 2, 4), np.float32))
