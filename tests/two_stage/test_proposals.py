@@ -27,6 +27,7 @@ from vehicle_detection.two_stage.proposals import (
     WINDOW_CELL,
     WINDOW_CONTEXT,
     WINDOW_ROWS,
+    best_windows,
     cell_features,
     level_groups,
     propose,
@@ -229,6 +230,36 @@ def test_window_scores_are_products_at_every_place(rows, columns, width, step, s
     for i, k in np.ndindex(shape):
         window = features[tops[i] : tops[i] + WINDOW_ROWS, lefts[k] : lefts[k] + width]
         assert scores[i, k] == pytest.approx((window * weights).sum() + 0.5, abs=2e-3)
+
+
+@settings(max_examples=30)
+@given(
+    rows=st.integers(1, 20),
+    columns=st.integers(1, 30),
+    step=st.integers(1, 3),
+    n_proposals=st.integers(1, 6),
+    seed=st.integers(0, 1000),
+)
+def test_best_windows_of_all_templates(rows, columns, step, n_proposals, seed):
+    features = np.random.default_rng(seed).random((rows, columns, CELL_FEATURES), np.float32)
+    templates = still_templates(seed)
+    scan = ScanParams(cells_per_step=step, threshold=0.1, n_proposals=n_proposals)
+    hot = []
+    for i, template in enumerate(templates):
+        scores = window_scores(features, template, step)
+        width = template.weights.shape[1]
+        for row, column in np.argwhere(scores > scan.threshold):
+            x, y = column * step, row * step
+            box = (int(x), int(y), int(x + width), int(y + WINDOW_ROWS))
+            hot.append((float(scores[row, column]), i, box))
+    wanted = []
+    for score, owner, box in sorted(hot, reverse=True):
+        kept = np.array([other for _, _, other in wanted], float).reshape(-1, 4)
+        if (pairwise_iou(np.array([box], float), kept) <= scan.overlap).all():
+            wanted.append((score, owner, box))
+    windows, scores, owners = best_windows(features, templates, scan)
+    found = zip(scores.tolist(), owners.tolist(), map(tuple, windows.tolist()), strict=True)
+    assert list(found) == wanted[:n_proposals]
 
 
 def test_a_window_is_proposed_where_its_pixels_are():
