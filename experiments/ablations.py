@@ -72,7 +72,9 @@ VARIANTS = {
     "lorries tell the road too (whole_car_aspect 0)": selection(whole_car_aspect=0),
     "scores less 0.1 instead of 0.6 (score_offset)": tracks(score_offset=0.1),
     "confirmed at once (confirm_at 0)": tracks(confirm_at=0),
+    "videos are looked at mirrored, too": TwoStageParams(mirrored=True),
 }
+STILL_VARIANTS = {"stills are not looked at mirrored": replace(STILL_PARAMS, mirrored=False)}
 
 
 def located(path):
@@ -98,12 +100,11 @@ def errors_on(clip, rules):
     return [figures[n] or 0 for n in ("false positives", "misses", "identity switches")]
 
 
-def precision_on_stills(rules):
+def precision_on_stills(params):
     """Mean average precision of a variant over the folders of stills."""
     values = []
     for name, group in STILLS.items():
         detector = detector_path(QUICK_GROUPS[group], True, DETECTORS)
-        params = replace(rules, scan=STILL_PARAMS.scan, tracks=STILL_PARAMS.tracks)
         vehicle = TwoStageVehicle(None, detector, params)
         values.append(score_folder(SHARED / "footage" / name, vehicle).average_precision)
     return float(np.mean(values))
@@ -116,8 +117,14 @@ def row_of(name, rules, base):
         false, missed, switches = errors_on(clip, rules)
         cells.append(f"{false}+{missed}" + (f" ({switches} sw)" if switches else ""))
     per_still = rules == base or (rules.selection, rules.road) != (base.selection, base.road)
-    cells.append(f"{precision_on_stills(rules):.3f}" if per_still else "same")
+    of_stills = replace(STILL_PARAMS, selection=rules.selection, road=rules.road)
+    cells.append(f"{precision_on_stills(of_stills):.3f}" if per_still else "same")
     return f"| {name} | {' | '.join(cells)} |"
+
+
+def row_of_stills(name, params):
+    """A row of what only stills differ in."""
+    return f"| {name} |{' same |' * len(CLIPS)} {precision_on_stills(params):.3f} |"
 
 
 def main():
@@ -133,7 +140,9 @@ def main():
     if missing or not SHARED.is_dir():
         raise ValueError(f"run experiments.leave_one_out run --quick first: no {missing}")
     with parallel_config("loky", n_jobs=arguments.jobs, initializer=begin_worker):
-        rows = Parallel()(delayed(row_of)(*variant, VIDEO_PARAMS) for variant in VARIANTS.items())
+        calls = [delayed(row_of)(*variant, VIDEO_PARAMS) for variant in VARIANTS.items()]
+        calls += [delayed(row_of_stills)(*variant) for variant in STILL_VARIANTS.items()]
+        rows = Parallel()(calls)
     heads = [*CLIPS, "AP of stills"]
     lines = [
         "# Ablations", "",

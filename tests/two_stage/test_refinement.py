@@ -62,3 +62,18 @@ def test_predictions_are_looked_at_once():
     others = refine(img, boxes[first_hot + 1 :], detector)
     np.testing.assert_allclose(found.boxes[first_hot + 1 :], others.boxes, atol=1e-3)
     np.testing.assert_allclose(found.scores[first_hot + 1 :], others.scores, atol=1e-4)
+
+
+def test_a_mirrored_frame_has_mirrored_vehicles():
+    img, detector = textured_image(4, 240, 320), random_detector(0)
+    boxes = on_whole_pixels(random_boxes(np.random.default_rng(0), 20))
+    turned = np.stack([320 - boxes[:, 2], boxes[:, 1], 320 - boxes[:, 0], boxes[:, 3]], axis=1)
+    moved, scores = look(img, boxes, detector, mirrored=True)
+    of_turned, turned_scores = look(img[:, ::-1], turned, detector, mirrored=True)
+    back = np.stack(
+        [320 - of_turned[:, 2], of_turned[:, 1], 320 - of_turned[:, 0], of_turned[:, 3]], axis=1
+    )
+    np.testing.assert_allclose(scores, turned_scores, atol=2e-3)
+    np.testing.assert_allclose(moved, back, atol=0.05)
+    _, once = look(img, boxes, detector)
+    assert not np.allclose(scores, once, atol=0.01)

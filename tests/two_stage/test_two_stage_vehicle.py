@@ -65,8 +65,9 @@ def scripted(monkeypatch):
             boxes = np.array([box for box, _ in rows], float).reshape(-1, 4)
             scores = [score for _, score in rows]
 
-            def refine(_, looked, __, n_predicted, boxes=boxes, scores=scores):
+            def refine(_, looked, __, n_predicted, mirrored, boxes=boxes, scores=scores):
                 assert len(looked) == n_predicted + len(boxes)
+                assert mirrored == vehicle.params.mirrored
                 looked_at.append(looked)
                 return Candidates(boxes, np.array(scores))
 

@@ -256,7 +256,7 @@ def suppress(boxes: np.ndarray, scores: np.ndarray, overlap: float) -> np.ndarra
     # OpenCV could pick them, but takes thousands of boxes one by one.
     best = np.argsort(-scores, kind="stable")[:_MOST_BOXES]
     boxes, scores = boxes[best], scores[best]
-    sizes = np.hstack([boxes[:, :2], boxes[:, 2:] - boxes[:, :2]]).astype(float)
+    sizes = np.hstack([boxes[:, :2], boxes[:, 2:] - boxes[:, :2]]).astype(float).tolist()
     # OpenCV takes no threshold below zero.
     above_zero = (scores - scores[-1] + 1).astype(np.float32)
     kept = cv2.dnn.NMSBoxes(sizes, above_zero, 0.0, overlap)

@@ -20,6 +20,11 @@ if TYPE_CHECKING:
     from vehicle_detection.two_stage.model import Detector
 
 _LIBRARIES = ThreadpoolController()
+# Outputs of a mirrored patch: the score, and the shifts of left, top, right and bottom.
+_MIRRORED_OUTPUTS = np.array([0, 3, 2, 1, 4])
+_MIRRORED_SIGNS = np.array([1, -1, 1, -1, 1], np.float32)
+# Left and right change places.
+_MIRRORED_BORDERS = np.array([2, 1, 0, 3])
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,11 @@ class Candidates:
 
 
 def refine(
-    frame: np.ndarray, boxes: np.ndarray, detector: Detector, n_predicted: int = 0
+    frame: np.ndarray,
+    boxes: np.ndarray,
+    detector: Detector,
+    n_predicted: int = 0,
+    mirrored: bool = False,
 ) -> Candidates:
     """Score boxes and move their edges to where they belong, some twice.
 
@@ -57,6 +66,8 @@ def refine(
     detector : Detector
     n_predicted : int
         So many of the first boxes are predictions of tracks.
+    mirrored : bool
+        See `look`.
 
     Returns
     -------
@@ -64,15 +75,25 @@ def refine(
     """
     # For products this small, waking BLAS's threads takes longer than the product.
     with _LIBRARIES.limit(limits=1, user_api="blas"):
-        moved, scores = look(frame, boxes, detector)
+        moved, scores = look(frame, boxes, detector, mirrored)
         again = scores > 0
         again[:n_predicted] = False
-        moved[again], scores[again] = look(frame, moved[again], detector)
+        moved[again], scores[again] = look(frame, moved[again], detector, mirrored)
     return Candidates(moved, scores)
 
 
-def look(frame: np.ndarray, boxes: np.ndarray, detector: Detector) -> tuple:
+def look(frame: np.ndarray, boxes: np.ndarray, detector: Detector, mirrored: bool = False) -> tuple:
     """Where the edges of boxes belong, and the decision function of the boxes as they are.
+
+    Parameters
+    ----------
+    frame : ndarray of uint8, shape (rows, columns, 3)
+        RGB.
+    boxes : ndarray of float, shape (n, 4)
+    detector : Detector
+    mirrored : bool
+        What is found is the mean of what the patches and their mirror images tell: a mirrored
+        vehicle is one, too.
 
     Returns
     -------
@@ -80,6 +101,10 @@ def look(frame: np.ndarray, boxes: np.ndarray, detector: Detector) -> tuple:
     scores : ndarray of float32, shape (n,)
     """
     boxes = on_whole_pixels(boxes)
-    outside = margins_outside(boxes, frame.shape)
-    outputs = detector.machine.predict(describe_patches(cut_patches(frame, boxes), outside))
+    patches, outside = cut_patches(frame, boxes), margins_outside(boxes, frame.shape)
+    outputs = detector.machine.predict(describe_patches(patches, outside))
+    if mirrored:
+        features = describe_patches(patches[:, :, ::-1], outside[:, _MIRRORED_BORDERS])
+        of_mirrored = detector.machine.predict(features)[:, _MIRRORED_OUTPUTS]
+        outputs = (outputs + _MIRRORED_SIGNS * of_mirrored) / 2
     return move_edges(boxes, outputs[:, 1:]), outputs[:, 0]

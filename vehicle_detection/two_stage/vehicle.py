@@ -129,7 +129,7 @@ class TwoStageVehicle(Viewer):
         proposals, _ = propose(rgb_frame, levels, self.detector.templates, self.params.scan)
         predicted = self._predicted()
         boxes = np.concatenate([predicted, proposals])
-        refined = refine(rgb_frame, boxes, self.detector, len(predicted))
+        refined = refine(rgb_frame, boxes, self.detector, len(predicted), self.params.mirrored)
         candidates = self._select(refined, road)
         tracks = self._tracker.update(candidates.boxes, candidates.scores)
         confirmed = [i for i, track in enumerate(tracks) if track and track.is_confirmed]
