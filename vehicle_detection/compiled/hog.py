@@ -109,7 +109,7 @@ def cell_histograms(img: np.ndarray, orientations: int, pix_per_cell: int) -> np
         raise ValueError(f"an image of {img.shape} is smaller than one HOG cell")
     rows, columns, channels = img.shape
     cell_rows = rows // pix_per_cell
-    histograms = np.zeros((channels, cell_rows, columns // pix_per_cell, orientations), np.float32)
+    histograms = np.empty((channels, cell_rows, columns // pix_per_cell, orientations), np.float32)
 
     def vote(first, last):
         """Let the pixels of the cell rows first..last vote; returns those that are left out."""
