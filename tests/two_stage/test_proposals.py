@@ -188,13 +188,14 @@ def test_cells_hold_hog_and_mean_colour():
     img = textured_image(3, 46, 61)
     features = cell_features(img)
     img = convert_color(img, "YCrCb")
-    assert features.shape == (11, 15, CELL_FEATURES)
+    assert features.shape == (46 // WINDOW_CELL, 61 // WINDOW_CELL, CELL_FEATURES)
     lengths, units = lengths_and_units(features[..., :ORIENTATIONS])
     np.testing.assert_allclose(units, unit_histograms(img[..., 0], WINDOW_CELL), atol=1e-5)
     raw = np.linalg.norm(cell_histograms(img[..., :1], ORIENTATIONS, WINDOW_CELL)[0], axis=-1)
     around = uniform_filter(raw, SURROUNDINGS, mode="reflect")
     np.testing.assert_allclose(lengths, raw / np.hypot(raw, around), atol=1e-5)
-    cell = img[8:12, 20:24].mean(axis=(0, 1)) / 255
+    top, left = 2 * WINDOW_CELL, 5 * WINDOW_CELL
+    cell = img[top : top + WINDOW_CELL, left : left + WINDOW_CELL].mean(axis=(0, 1)) / 255
     np.testing.assert_allclose(features[2, 5, ORIENTATIONS:], cell, atol=0.003)
 
 
@@ -263,20 +264,24 @@ def test_best_windows_of_all_templates(rows, columns, step, n_proposals, seed):
 
 
 def test_a_window_is_proposed_where_its_pixels_are():
-    img = np.full((360, 640, 3), 90, np.uint8)
-    img[170:202, 300:344] = textured_image(5, 32, 44)
+    img = np.full((360, 480, 3), 90, np.uint8)
+    height, width = WINDOW_ROWS * WINDOW_CELL, 11 * WINDOW_CELL
+    img[170 : 170 + height, 300 : 300 + width] = textured_image(5, height, width)
+    # One level, as large as the frame.
     scan = ScanParams(
-        smallest=64, largest=64, cells_per_step=1, n_groups=1, threshold=-np.inf, n_proposals=1,
+        smallest=height, largest=height, reference_width=480, cells_per_step=1, n_groups=1,
+        threshold=-np.inf, n_proposals=1,
     )  # fmt: skip
     ((level,),) = level_groups(img.shape[:2], scan, anywhere(len(img)))
     strip = cv2.resize(img[level.top : level.bottom], (level.columns, level.rows))
-    assert (level.rows, level.columns) == (level.bottom - level.top, 640)
+    assert (level.rows, level.columns) == (level.bottom - level.top, 480)
     row, column = (170 - level.top) // WINDOW_CELL, 300 // WINDOW_CELL
     level_cells = cell_features(strip)
     wanted = level_cells[row : row + WINDOW_ROWS, column : column + 11]
     template = still_template(wanted - level_cells.mean(axis=(0, 1)), 0.0)
     (box,), _ = propose(img, [level], (template,), scan)
-    np.testing.assert_allclose(box, (300, 170, 344, 202), atol=WINDOW_CELL)
+    wanted = 300, 170, 300 + width, 170 + height
+    np.testing.assert_allclose(box, wanted, atol=WINDOW_CELL)
 
 
 @settings(max_examples=50)

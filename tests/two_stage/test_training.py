@@ -432,14 +432,16 @@ def test_a_window_that_lies_on_cells_has_the_cells_of_the_frame():
     img = textured_image(3, 120, 160)
     cells = cell_features(img)
     size = WINDOW_ROWS * WINDOW_CELL
-    own = window_features(img, (40, 32, 40 + size, 32 + size), WINDOW_ROWS)
+    left, top = 10 * WINDOW_CELL, 8 * WINDOW_CELL
+    own = window_features(img, (left, top, left + size, top + size), WINDOW_ROWS)
     np.testing.assert_allclose(own, cells[8:16, 10:18], atol=1e-6)
 
 
 def test_a_window_with_its_context_has_the_cells_around_it():
     img = textured_image(3, 120, 200)
     size = WINDOW_ROWS * WINDOW_CELL
-    box = (60, 40, 60 + size, 40 + size)
+    left, top = 15 * WINDOW_CELL, 10 * WINDOW_CELL
+    box = (left, top, left + size, top + size)
     around = window_features(img, box, WINDOW_ROWS, WINDOW_CONTEXT)
     assert around.shape == (*context_shape(WINDOW_ROWS), CELL_FEATURES)
     np.testing.assert_allclose(around, cell_features(img)[7:21, 12:26], atol=1e-6)
