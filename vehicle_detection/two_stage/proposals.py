@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from vehicle_detection.compiled.hog import cell_histograms
+from vehicle_detection.compiled.threads import side_by_side
 from vehicle_detection.compiled.window_sums import correlate, sums_at
 from vehicle_detection.tracking.boxes import move_edges
 from vehicle_detection.two_stage.features import (
@@ -161,7 +162,7 @@ def propose(img: np.ndarray, levels: list, templates: tuple, scan: ScanParams) -
     """
     if not levels:
         return np.empty((0, 4)), np.empty(0, np.float32)
-    found = [_windows_of_level(img, level, templates, scan) for level in levels]
+    found = side_by_side(lambda level: _windows_of_level(img, level, templates, scan), levels)
     boxes, shifts, scores = map(np.concatenate, zip(*found, strict=True))
     best = np.argsort(-scores, kind="stable")
     return move_edges(boxes[best], shifts[best]), scores[best]
