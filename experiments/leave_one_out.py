@@ -256,7 +256,7 @@ def main():
     run.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="of a Dask cluster")
     run.add_argument("--only", nargs="+", metavar="CAMERA", help="leave out only these, in turn")
     for command in (run, commands.add_parser("report", help="write the table")):
-        command.add_argument("--quick", action="store_true", help="two groups, fewer frames")
+        command.add_argument("--quick", action="store_true", help="three groups, fewer frames")
         command.add_argument(
             "--set", type=setting, action="append", default=[], metavar="NAME=VALUE",
             help="another setting of TrainingParams; can be given several times",

@@ -280,8 +280,8 @@ def test_a_window_is_proposed_where_its_pixels_are():
     wanted = level_cells[row : row + WINDOW_ROWS, column : column + 11]
     template = still_template(wanted - level_cells.mean(axis=(0, 1)), 0.0)
     (box,), _ = propose(img, [level], (template,), scan)
-    wanted = 300, 170, 300 + width, 170 + height
-    np.testing.assert_allclose(box, wanted, atol=WINDOW_CELL)
+    place = 300, 170, 300 + width, 170 + height
+    np.testing.assert_allclose(box, place, atol=WINDOW_CELL)
 
 
 @settings(max_examples=50)

@@ -87,10 +87,8 @@ def look(frame: np.ndarray, boxes: np.ndarray, detector: Detector, mirrored: boo
 
     Parameters
     ----------
-    frame : ndarray of uint8, shape (rows, columns, 3)
-        RGB.
-    boxes : ndarray of float, shape (n, 4)
-    detector : Detector
+    frame, boxes, detector
+        See `refine`.
     mirrored : bool
         What is found is the mean of what the patches and their mirror images tell: a mirrored
         vehicle is one, too.
