@@ -320,7 +320,7 @@ class ScanParams:
     reference_width: float = 1280
     ratio: float = 1.25
     cells_per_step: int = 2
-    n_groups: int = 3
+    n_groups: int = 5
     threshold: float = 0.0
     n_proposals: int = 16
     overlap: float = 0.5
@@ -379,10 +379,11 @@ class RoadParams:
         Standard deviation of a car's height, as a share of its height.
     lorry_to_car : float
         Height of the highest lorry, some four metres, by that of a car.
-    most_witnesses : float
-        Cars that count for independent, together: many boxes are of the same car, and may be none.
-    most_cars : int
-        Boxes that are remembered.
+    pitch : float
+        Standard deviation of the row in which the road vanishes, from frame to frame, as a share
+        of the frame's height: cars nod, and roads go up and down by about a degree.
+    n_frames : int
+        That are remembered: if what was seen is no car, the road is found again after them.
     n_std : float
         The scan covers so many standard deviations around what is expected.
     cost : float
@@ -394,18 +395,18 @@ class RoadParams:
     camera_to_car: tuple = (0.95, 0.2)
     spread: float = 0.2
     lorry_to_car: float = 3
-    most_witnesses: float = 20
-    most_cars: int = 500
+    pitch: float = 0.02
+    n_frames: int = 100
     n_std: float = 2
     cost: float = 0.5
 
     def __post_init__(self):
         if min(*self.horizon, *self.camera_to_car) <= 0:
             raise ValueError("means and standard deviations of the road are above 0")
-        if min(self.spread, self.most_witnesses, self.most_cars, self.n_std) <= 0:
-            raise ValueError("spread, most_witnesses, most_cars and n_std are above 0")
-        if self.lorry_to_car < 1 or self.cost < 0:
-            raise ValueError("lorry_to_car starts at 1, cost at 0")
+        if min(self.spread, self.n_frames, self.n_std) <= 0:
+            raise ValueError("spread, n_frames and n_std are above 0")
+        if self.lorry_to_car < 1 or min(self.pitch, self.cost) < 0:
+            raise ValueError("lorry_to_car starts at 1, pitch and cost at 0")
 
 
 DEFAULT_ROAD = RoadParams()
@@ -478,7 +479,7 @@ class TrackParams:
 # Boxes from heat have lasted already: one is enough, and is remembered for two seconds.
 HEAT_TRACKS = TrackParams(max_score=25.0)
 # A prediction is scored where it lies, so these tracks follow faster.
-DEFAULT_TRACKS = TrackParams(process_noise=0.15, confirm_at=2.0, max_score=8.0, score_offset=0.6)
+DEFAULT_TRACKS = TrackParams(process_noise=0.15, confirm_at=1.0, max_score=8.0, score_offset=0.6)
 
 
 @dataclass(frozen=True)

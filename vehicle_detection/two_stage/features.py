@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from vehicle_detection.compiled.hog import cell_histograms
+from vehicle_detection.compiled.hog import cell_histograms, cell_lengths, describe_cells
 
 # These numbers are part of the format of the parameter file.
 ORIENTATIONS = 9
@@ -30,42 +30,8 @@ N_BORDERS = 4
 N_FEATURES = PATCH_SIDE**2 * CELL_FEATURES + N_BORDERS
 _INNER = slice(PATCH_MARGIN, PATCH_MARGIN + PATCH_CELLS)
 
-# Length of a histogram without gradients, in roots of grey levels.
-_LEAST_LENGTH = np.float32(1e-3)
 # Spread of the luma of a plain box, as a share of white.
 _LEAST_SPREAD = np.float32(0.03)
-
-
-def cell_lengths(histograms: np.ndarray) -> np.ndarray:
-    """Euclidean length of the histogram of every cell, shape (..., orientations) to (...)."""
-    return np.sqrt(np.einsum("...o,...o->...", histograms, histograms))
-
-
-def normalise_cells(histograms: np.ndarray, lengths: np.ndarray, around: np.ndarray) -> np.ndarray:
-    """Cells by the root of the squares of their own length and of the mean length around them.
-
-    Blocks that are brought to unit length [1]_ show what noise there is in a plain
-    cell as large as the edges of a vehicle. Here it stays small.
-
-    Parameters
-    ----------
-    histograms : ndarray of float32, shape (..., orientations)
-        See `compiled.hog.cell_histograms`.
-    lengths, around : ndarray of float32, shape (...)
-        See `cell_lengths`; `around` may be broadcast.
-
-    Returns
-    -------
-    normalised : ndarray of float32, shape (..., orientations)
-        0.7 long for a cell as long as those around it, at most 1.
-
-    References
-    ----------
-    .. [1] N. Dalal and B. Triggs, "Histograms of Oriented Gradients for Human
-           Detection", CVPR 2005.
-    """
-    scale = 1 / np.sqrt(lengths**2 + around**2 + _LEAST_LENGTH**2)
-    return histograms * scale[..., None]
 
 
 def cut_out(img: np.ndarray, box: Sequence, size: tuple) -> np.ndarray:
@@ -193,16 +159,13 @@ def describe_patches(patches: np.ndarray, outside: np.ndarray) -> np.ndarray:
     .. [1] R. Arandjelovic and A. Zisserman, "Three things everyone should know to
            improve object retrieval", CVPR 2012.
     """
-    n, planes = len(patches), luma_and_chroma(patches)
-    features = np.empty((n, N_FEATURES), np.float32)
-    cells = features[:, :-N_BORDERS].reshape(n, PATCH_SIDE, PATCH_SIDE, CELL_FEATURES)
+    planes = luma_and_chroma(patches)
     histograms = _patch_histograms(planes[0])
-    lengths = cell_lengths(histograms)
-    around = lengths.mean(axis=(1, 2), keepdims=True)
-    cells[..., :ORIENTATIONS] = np.sqrt(normalise_cells(histograms, lengths, around))
-    cells[..., ORIENTATIONS:] = relative_colors(planes)
-    features[:, -N_BORDERS:] = outside
-    return features
+    around = cell_lengths(histograms).mean(axis=(1, 2), keepdims=True)
+    cells = describe_cells(histograms, around, relative_colors(planes))
+    np.sqrt(cells[..., :ORIENTATIONS], out=cells[..., :ORIENTATIONS])
+    cells = cells.reshape(len(patches), N_FEATURES - N_BORDERS)
+    return np.hstack([cells, outside], dtype=np.float32)
 
 
 def _patch_histograms(patches):

@@ -78,7 +78,8 @@ def refine(
         moved, scores = look(frame, boxes, detector, mirrored)
         again = scores > 0
         again[:n_predicted] = False
-        moved[again], scores[again] = look(frame, moved[again], detector, mirrored)
+        if again.any():
+            moved[again], scores[again] = look(frame, moved[again], detector, mirrored)
     return Candidates(moved, scores)
 
 

@@ -81,15 +81,16 @@ def reach(road: Road, n_rows: int, params: RoadParams) -> Reach:
     low, high = road.mean - params.n_std * std, road.mean + params.n_std * std
     horizon = np.clip([low[0], high[0]], 0, n_rows)
     ratio = np.maximum([low[1] / params.lorry_to_car, high[1]], 0)
-    return Reach(tuple(horizon), tuple(ratio))
+    return Reach(tuple(horizon.tolist()), tuple(ratio.tolist()))
 
 
-def update_road(prior: Road, boxes: np.ndarray, weights: np.ndarray, params: RoadParams) -> Road:
+def update_road(n_rows: int, boxes: np.ndarray, weights: np.ndarray, params: RoadParams) -> Road:
     """What is known after some cars have been seen, by Bayesian linear regression [2]_.
 
     Parameters
     ----------
-    prior : Road
+    n_rows : int
+        Of the frame.
     boxes : ndarray of float, shape (n, 4)
         Whole cars, of some height.
     weights : ndarray of float, shape (n,)
@@ -100,19 +101,20 @@ def update_road(prior: Road, boxes: np.ndarray, weights: np.ndarray, params: Roa
     -------
     road : Road
     """
+    prior = prior_road(n_rows, params)
     if not len(boxes):
         return prior
+    # Divided by the height of the box: bottom / h = horizon / h + ratio.
     heights = box_heights(boxes)
-    # Divided by their height, boxes of all sizes err alike: bottom / h = horizon / h + ratio.
     columns = np.stack([1 / heights, np.ones(len(boxes))], axis=1)
     target = boxes[:, 3] / heights
-    # Boxes of one car in many frames are no independent witnesses.
-    weights = weights * min(1, params.most_witnesses / max(weights.sum(), 1e-9))
+    # Without the second term, one small box would tell the horizon to some pixels.
+    std = np.hypot(params.spread, params.pitch * n_rows / heights)
     precision = np.linalg.inv(prior.covariance)
     mean = prior.mean
     for _ in range(4):
-        error = np.abs(target - columns @ mean) / params.spread
-        robust = weights / np.maximum(1, error) / params.spread**2
+        error = np.abs(target - columns @ mean) / std
+        robust = weights / np.maximum(1, error) / std**2
         posterior = precision + columns.T @ (robust[:, None] * columns)
         pull = precision @ prior.mean + columns.T @ (robust * target)
         mean = np.linalg.solve(posterior, pull)
@@ -158,10 +160,15 @@ class RoadMemory:
     def __init__(self, params: RoadParams):
         self.params = params
         self._cars = np.empty((0, 4))
+        # By how many frames each is behind.
+        self._ages = np.empty(0, int)
 
     def learn(self, cars: np.ndarray) -> None:
-        """Add boxes of whole cars, shape (n, 4)."""
-        self._cars = np.concatenate([self._cars, cars])[-self.params.most_cars :]
+        """Add the whole cars of the next frame, shape (n, 4); forget those of long ago."""
+        cars = np.concatenate([self._cars, cars])
+        ages = np.concatenate([self._ages + 1, np.zeros(len(cars) - len(self._cars), int)])
+        recent = ages < self.params.n_frames
+        self._cars, self._ages = cars[recent], ages[recent]
 
     def road(
         self, n_rows: int, cars: np.ndarray | None = None, weights: np.ndarray | None = None
@@ -183,4 +190,4 @@ class RoadMemory:
         if cars is not None:
             boxes = np.concatenate([boxes, cars])
             all_weights = np.concatenate([all_weights, weights])
-        return update_road(prior_road(n_rows, self.params), boxes, all_weights, self.params)
+        return update_road(n_rows, boxes, all_weights, self.params)
