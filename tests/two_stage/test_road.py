@@ -28,7 +28,7 @@ def cars(rng, count, horizon, camera_to_car, heights=(30, 200)):
 
 def learned(boxes, n_rows=720):
     """The road that some boxes tell, all of them cars for sure."""
-    return update_road(n_rows, boxes, np.ones(len(boxes)), PARAMS)
+    return update_road(prior_road(n_rows, PARAMS), boxes, np.ones(len(boxes)), PARAMS)
 
 
 @settings(max_examples=40)
@@ -49,9 +49,8 @@ def test_without_cars_nothing_is_learned():
 
 
 def test_one_car_is_the_textbook_update():
-    # Bottom / height = horizon / height + ratio, one observation: the car's height varies, and
-    # the horizon moves by 0.02 * 720 pixels, of which the box is 100 high.
-    variance = 0.2**2 + 0.144**2
+    # Bottom / height = horizon / height + ratio, one observation of variance spread squared.
+    variance = PARAMS.spread**2
     prior = prior_road(720, PARAMS)
     road = learned(np.array([(0.0, 400, 140, 500)]))
     column = np.array([1 / 100, 1])
@@ -75,7 +74,9 @@ def test_wrong_boxes_are_outvoted_or_forgotten():
     np.testing.assert_allclose(memory.road(720).mean, prior_road(720, PARAMS).mean)
     for _ in range(10):
         memory.learn(wrong)
-    memory.learn(cars(np.random.default_rng(0), 60, 420, 0.9))
+    rng = np.random.default_rng(0)
+    for _ in range(80):
+        memory.learn(cars(rng, 3, 420, 0.9))
     assert memory.road(720).mean[0] == pytest.approx(420, abs=40)
 
 
@@ -139,7 +140,6 @@ def test_the_cars_of_a_frame_count_beside_those_remembered():
     [
         {"horizon": (0, 0.1)},
         {"spread": 0},
-        {"pitch": -1},
         {"n_frames": 0},
         {"lorry_to_car": 0.5},
         {"cost": -1},
