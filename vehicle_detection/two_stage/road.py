@@ -84,12 +84,13 @@ def reach(road: Road, n_rows: int, params: RoadParams) -> Reach:
     return Reach(tuple(horizon.tolist()), tuple(ratio.tolist()))
 
 
-def update_road(prior: Road, boxes: np.ndarray, weights: np.ndarray, params: RoadParams) -> Road:
+def update_road(n_rows: int, boxes: np.ndarray, weights: np.ndarray, params: RoadParams) -> Road:
     """What is known after some cars have been seen, by Bayesian linear regression [2]_.
 
     Parameters
     ----------
-    prior : Road
+    n_rows : int
+        Of the frame.
     boxes : ndarray of float, shape (n, 4)
         Whole cars, of some height.
     weights : ndarray of float, shape (n,)
@@ -100,17 +101,20 @@ def update_road(prior: Road, boxes: np.ndarray, weights: np.ndarray, params: Roa
     -------
     road : Road
     """
+    prior = prior_road(n_rows, params)
     if not len(boxes):
         return prior
+    # Divided by the height of the box: bottom / h = horizon / h + ratio.
     heights = box_heights(boxes)
-    # Divided by their height, boxes of all sizes err alike: bottom / h = horizon / h + ratio.
     columns = np.stack([1 / heights, np.ones(len(boxes))], axis=1)
     target = boxes[:, 3] / heights
+    # Without the pitch, one small box would tell the horizon to a few pixels.
+    std = np.hypot(params.spread, params.pitch * n_rows / heights)
     precision = np.linalg.inv(prior.covariance)
     mean = prior.mean
     for _ in range(4):
-        error = np.abs(target - columns @ mean) / params.spread
-        robust = weights / np.maximum(1, error) / params.spread**2
+        error = np.abs(target - columns @ mean) / std
+        robust = weights / np.maximum(1, error) / std**2
         posterior = precision + columns.T @ (robust[:, None] * columns)
         pull = precision @ prior.mean + columns.T @ (robust * target)
         mean = np.linalg.solve(posterior, pull)
@@ -186,4 +190,4 @@ class RoadMemory:
         if cars is not None:
             boxes = np.concatenate([boxes, cars])
             all_weights = np.concatenate([all_weights, weights])
-        return update_road(prior_road(n_rows, self.params), boxes, all_weights, self.params)
+        return update_road(n_rows, boxes, all_weights, self.params)
