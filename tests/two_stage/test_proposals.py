@@ -15,10 +15,7 @@ from pipeline_functions import convert_color
 from vehicle_detection.compiled.hog import cell_histograms
 from vehicle_detection.parameters import ScanParams
 from vehicle_detection.tracking.boxes import pairwise_iou
-from vehicle_detection.two_stage.features import (
-    CELL_FEATURES,
-    ORIENTATIONS,
-)
+from vehicle_detection.two_stage.features import CELL_FEATURES, ORIENTATIONS
 from vehicle_detection.two_stage.model import Template
 from vehicle_detection.two_stage.proposals import (
     SURROUNDINGS,

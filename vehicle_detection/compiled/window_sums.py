@@ -12,7 +12,7 @@ from vehicle_detection.compiled.threads import share
 
 _COMPILE = dict(error_model="numpy")
 # Several terms of a sum at once: no order of them is the right one.
-_SUMS = {"reassoc", "contract", "nsz"}
+SUMS = {"reassoc", "contract", "nsz"}
 # Products that take longer than waking a thread.
 _WORTH_A_THREAD = 20_000_000
 
@@ -82,7 +82,7 @@ def correlate(cells: np.ndarray, weights: np.ndarray, step: int, shape: tuple) -
     return sums
 
 
-@compiled(**_COMPILE, fastmath=_SUMS)
+@compiled(**_COMPILE, fastmath=SUMS)
 def _correlate(cells, weights, step, first, last, sums):
     """`correlate` for the window rows first..last.
 
@@ -141,7 +141,7 @@ def sums_at(cells: np.ndarray, corners: np.ndarray, weights: np.ndarray) -> np.n
     return _sums_at(cells, corners, weights)
 
 
-@compiled(**_COMPILE, fastmath=_SUMS)
+@compiled(**_COMPILE, fastmath=SUMS)
 def _sums_at(cells, corners, weights):
     """`sums_at`, without looking at its arguments."""
     n_rows, n_columns, depth = cells.shape

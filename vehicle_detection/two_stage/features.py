@@ -14,7 +14,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from vehicle_detection.compiled.hog import cell_histograms, cell_lengths, describe_cells
+from vehicle_detection.compiled.cells import cell_lengths, describe_cells
+from vehicle_detection.compiled.hog import cell_histograms
 
 # These numbers are part of the format of the parameter file.
 ORIENTATIONS = 9

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from vehicle_detection.compiled.hog import cell_histograms, cell_lengths, describe_cells
+from vehicle_detection.compiled.cells import cell_lengths, describe_cells
+from vehicle_detection.compiled.hog import cell_histograms
 from vehicle_detection.compiled.window_sums import correlate, sums_at
 from vehicle_detection.tracking.boxes import move_edges
 from vehicle_detection.two_stage.features import ORIENTATIONS
