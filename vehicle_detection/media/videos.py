@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import av
-import cv2
 import numpy as np
 from av.filter import Graph
 from av.video.reformatter import VideoReformatter
 
 from vehicle_detection.media.files import written_whole
+from vehicle_detection.media.planes import UNSPECIFIED, planes_of
 from vehicle_detection.media.sound import copies
 from vehicle_detection.media.timeline import Timeline
 
@@ -50,9 +50,8 @@ _IO_BYTES = 1 << 18
 # Decoding runs beside the search. Threads that take turns at one frame each need more
 # time in all than one thread does.
 _DECODERS = max(1, (os.cpu_count() or 1) // 2)
-# FFmpeg's numbers. It takes BT.601's matrix where a stream names none.
-UNSPECIFIED, BT601, _LIMITED_RANGE = 2, 5, 1
-_NO_MATRIX = {0, UNSPECIFIED}
+# FFmpeg's number.
+_LIMITED_RANGE = 1
 
 
 @dataclass(frozen=True)
@@ -654,10 +653,10 @@ class _Encoder:
 
     def _planes(self, item, time_base):
         """Yield frames as the codec takes them, with rising times."""
-        to_planes, timeline = _ToPlanes(self._target.info.colors), Timeline()
+        timeline, matrix = Timeline(), self._target.info.colors[0]
         while item is not None:
             rgb, time = item
-            frame = to_planes(rgb)
+            frame = av.VideoFrame.from_numpy_buffer(planes_of(rgb, matrix), "yuv420p")
             frame.pts, frame.time_base = timeline.after(time), time_base
             yield frame
             item = self._next()
@@ -680,20 +679,3 @@ def _video_stream(output, info, options):
     context.colorspace, context.color_primaries, context.color_trc = info.colors
     context.color_range = _LIMITED_RANGE
     return stream
-
-
-class _ToPlanes:
-    """RGB frames as luma and chroma, sides of even length."""
-
-    def __init__(self, colors: tuple):
-        self._matrix = BT601 if colors[0] in _NO_MATRIX else colors[0]
-        self._convert = VideoReformatter()
-
-    def __call__(self, rgb: np.ndarray) -> av.VideoFrame:
-        below, right = rgb.shape[0] % 2, rgb.shape[1] % 2
-        if below or right:
-            rgb = cv2.copyMakeBorder(rgb, 0, below, 0, right, cv2.BORDER_REPLICATE)
-        return self._convert.reformat(
-            av.VideoFrame.from_numpy_buffer(np.ascontiguousarray(rgb), "rgb24"),
-            format="yuv420p", dst_colorspace=self._matrix, dst_color_range=_LIMITED_RANGE,
-        )  # fmt: skip
