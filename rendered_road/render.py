@@ -1128,13 +1128,18 @@ def _trim(p, actor, rng):
     boot = np.abs(p.y - p.body.plate * p.height * 0.86) < 0.007
     yield p.paint & boot & (p.z < 0.2), black, 0.0
     seams = np.array([0.36, 0.56, 0.74]) * p.body.length
-    close = np.abs(p.z[:, None] - seams).min(axis=1) < 0.011
+    close = _to_nearest(p.z, seams) < 0.011
     yield p.paint & p.beside & close & (p.y > _floor(p.body) + 0.1), black, 0.0
-    handle = np.abs(p.z[:, None] - seams[:2] - 0.12).min(axis=1) < 0.09
+    handle = _to_nearest(p.z, seams[:2] + 0.12) < 0.09
     level = np.abs(p.y - 0.60 * p.height) < 0.018
     yield p.paint & p.beside & handle & level, (0.12, 0.12, 0.12), 0.1
     if actor.kind == "van":
         yield (p.x < 0.012) & (p.z < 0.2) & (p.y > 0.2 * p.height), black, 0.0
+
+
+def _to_nearest(values, places):
+    """Distance of each value to the nearest of some places."""
+    return np.min([np.abs(values - place) for place in places], axis=0)
 
 
 def _lamps_and_plate(p, actor, rng):
