@@ -81,7 +81,7 @@ VARIANTS = {
     "cars of 1000 frames tell the road (n_frames)": road(n_frames=1000),
     "parts of better boxes stay (max_covered 1)": selection(max_covered=1),
     "lorries tell the road too (whole_car_aspect 0)": selection(whole_car_aspect=0),
-    "scores less 0.1 instead of 0.6 (score_offset)": tracks(score_offset=0.1),
+    "scores less 0.1 instead of 0.5 (score_offset)": tracks(score_offset=0.1),
     "confirmed at once (confirm_at 0)": tracks(confirm_at=0),
     "a third of the levels a frame (n_groups 3)": TwoStageParams(
         scan=replace(DEFAULT_SCAN, n_groups=3)

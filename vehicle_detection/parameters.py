@@ -348,16 +348,13 @@ class SelectionParams:
     max_iou, max_covered : float
         Two boxes are in conflict if their IoU, or the covered share of the smaller one, is
         above these. Vehicles that are both seen overlap less.
-    at_border : float
-        A box touches the border of the frame if it ends within this share of its size.
     whole_car_aspect : float
         A box wider than this by its height, away from the border, is a whole car. Lorries and
         vans are narrower, and would be taken for nearer cars.
     """
 
-    max_iou: float = 0.45
+    max_iou: float = 0.5
     max_covered: float = 0.7
-    at_border: float = 0.02
     whole_car_aspect: float = 1.1
 
 
@@ -479,7 +476,7 @@ class TrackParams:
 # Boxes from heat have lasted already: one is enough, and is remembered for two seconds.
 HEAT_TRACKS = TrackParams(max_score=25.0)
 # A prediction is scored where it lies, so these tracks follow faster.
-DEFAULT_TRACKS = TrackParams(process_noise=0.15, confirm_at=1.0, max_score=8.0, score_offset=0.6)
+DEFAULT_TRACKS = TrackParams(process_noise=0.15, confirm_at=1.0, max_score=8.0)
 
 
 @dataclass(frozen=True)
@@ -510,7 +507,7 @@ VIDEO_PARAMS = TwoStageParams()
 # A still is scanned at all scales at once, and has no other frame to agree with.
 STILL_PARAMS = TwoStageParams(
     scan=ScanParams(smallest=24, cells_per_step=1, n_groups=1),
-    tracks=TrackParams(score_offset=DEFAULT_TRACKS.score_offset),
+    tracks=TrackParams(),
     mirrored=True,
 )
 

@@ -36,11 +36,11 @@ def test_iou_of_known_boxes():
 
 
 def test_edges_at_the_border_are_told_on_all_sides():
-    own = np.array([(0, 50, 80, 90), (1.5, 60, 81.5, 100), (116, 2, 199, 42), (40, 20, 60, 60)])
-    touches = touches_border(own, (100, 200, 3), share=0.02)
+    own = np.array([(0, 50, 80, 90), (-9, 60, 81, 100), (116, 0.5, 200, 42), (1, 1, 199, 99)])
+    touches = touches_border(own, (100, 200, 3))
     expected = [(1, 0, 0, 0), (1, 0, 0, 1), (0, 0, 1, 0), (0, 0, 0, 0)]
     np.testing.assert_array_equal(touches, expected)
-    assert touches_border(own[:0], (100, 200), 0.02).shape == (0, 4)
+    assert touches_border(own[:0], (100, 200)).shape == (0, 4)
 
 
 def test_two_vehicles_keep_their_identities_whatever_the_order():

@@ -112,7 +112,7 @@ def test_what_has_left_the_frame_is_no_longer_looked_for(scripted):
     assert len(looked_at[6]) == 1 and [len(boxes) for boxes in looked_at[8:12]] == [0] * 4
 
 
-@pytest.mark.parametrize(("score", "count"), [(0.65, 1), (0.55, 0)])
+@pytest.mark.parametrize(("score", "count"), [(0.55, 1), (0.45, 0)])
 def test_a_still_shows_what_scores_enough(scripted, score, count):
     (found,), _ = scripted([[(NEAR, score)]], params=STILL_PARAMS)
     assert len(found.boxes) == count

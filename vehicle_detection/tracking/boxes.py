@@ -43,15 +43,13 @@ def clip_to_frame(boxes: np.ndarray, frame_shape: tuple) -> np.ndarray:
     return np.clip(boxes, 0, (columns, rows, columns, rows))
 
 
-def touches_border(boxes: np.ndarray, frame_shape: tuple, share: float) -> np.ndarray:
+def touches_border(boxes: np.ndarray, frame_shape: tuple) -> np.ndarray:
     """Which edges of boxes lie at the border of the frame, or beyond it.
 
     Parameters
     ----------
     boxes : ndarray of float, shape (n, 4)
     frame_shape : (rows, columns, ...)
-    share : float
-        How near an edge must be, in widths or heights of the box.
 
     Returns
     -------
@@ -59,9 +57,7 @@ def touches_border(boxes: np.ndarray, frame_shape: tuple, share: float) -> np.nd
         Left, top, right, bottom.
     """
     rows, columns = frame_shape[:2]
-    near = share * (boxes[:, 2:] - boxes[:, :2])
-    low, high = boxes[:, :2] < near, boxes[:, 2:] > (columns, rows) - near
-    return np.hstack([low, high])
+    return np.hstack([boxes[:, :2] <= 0, boxes[:, 2:] >= (columns, rows)])
 
 
 def stack_boxes(boxes: list) -> np.ndarray:

@@ -172,18 +172,13 @@ class TwoStageVehicle(Viewer):
         boxes, params = candidates.boxes, self.params.road
         cost = params.cost * misplacement(boxes, road, params) ** 2 / 2
         # A vehicle that the lower border cuts stands lower than it seems to.
-        return candidates.scores - cost * ~self._at_border(boxes)[:, 3]
-
-    def _at_border(self, boxes):
-        """Which edges lie at the border of the frame, shape (n, 4)."""
-        return touches_border(boxes, self._frame_shape, self.params.selection.at_border)
+        return candidates.scores - cost * ~touches_border(boxes, self._frame_shape)[:, 3]
 
     def _are_whole_cars(self, boxes):
         """Which boxes tell where the road is."""
         width, height = (boxes[:, 2:] - boxes[:, :2]).T
-        return ~self._at_border(boxes).any(axis=1) & (
-            width > self.params.selection.whole_car_aspect * height
-        )
+        cut = touches_border(boxes, self._frame_shape).any(axis=1)
+        return ~cut & (width > self.params.selection.whole_car_aspect * height)
 
     def _detections(self, proposals, candidates, tracks, confirmed):
         """Vehicles are the confirmed tracks that have a box in this frame."""
@@ -208,7 +203,7 @@ class TwoStageVehicle(Viewer):
         focal = self.calibration.mtx[1, 1] * columns / self.calibration.image_size[0]
         metres = distances(boxes, self._memory.road(rows), focal, self.params.distance)
         # What the lower border cuts stands lower than it seems to.
-        return np.where(self._at_border(boxes)[:, 3], np.nan, metres)
+        return np.where(touches_border(boxes, self._frame_shape)[:, 3], np.nan, metres)
 
     def step_pictures(self, rgb_frame: np.ndarray, detections: Any) -> list:
         """What `titles` name, each drawn on the frame.
