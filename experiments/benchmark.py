@@ -42,6 +42,7 @@ from vehicle_detection import command_line
 from vehicle_detection.classifier import load_classifier
 from vehicle_detection.compiled.hog import hog_blocks
 from vehicle_detection.media.annotate import annotate_video
+from vehicle_detection.media.encoder import video_writer
 from vehicle_detection.media.files import written_whole
 from vehicle_detection.media.images import find_images, read_image
 from vehicle_detection.media.inputs import gather_inputs
@@ -51,7 +52,6 @@ from vehicle_detection.media.videos import (
     VideoReader,
     read_frames,
     video_info,
-    video_writer,
 )
 from vehicle_detection.parameters import (
     FEATURE_PRESETS,

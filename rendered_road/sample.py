@@ -28,9 +28,10 @@ from rendered_road.render import (
 )
 from vehicle_detection import command_line
 from vehicle_detection.compiled.processes import in_parallel
+from vehicle_detection.media.encoder import video_writer
 from vehicle_detection.media.files import write_whole
 from vehicle_detection.media.images import write_image
-from vehicle_detection.media.videos import VideoInfo, video_writer
+from vehicle_detection.media.videos import VideoInfo
 
 FPS = 25
 N_SCENES = 160

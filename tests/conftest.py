@@ -10,7 +10,8 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC, LinearSVC
 
 from vehicle_detection.classifier import Classifier, save_classifier
-from vehicle_detection.media.videos import VideoInfo, video_writer
+from vehicle_detection.media.encoder import video_writer
+from vehicle_detection.media.videos import VideoInfo
 from vehicle_detection.parameters import FEATURE_PRESETS, FeatureParams
 from vehicle_detection.two_stage.features import CELL_FEATURES, N_FEATURES
 from vehicle_detection.two_stage.model import N_OUTPUTS, Detector, KernelMachine, Template

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from experiments import compare_clones
-from vehicle_detection.media.videos import VideoInfo, video_writer
+from vehicle_detection.media.encoder import video_writer
+from vehicle_detection.media.videos import VideoInfo
 
 ROOT = Path(compare_clones.__file__).parents[1]
 

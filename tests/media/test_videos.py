@@ -13,15 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conftest import CASES, moving_frames, textured_image, write_video
+from vehicle_detection.media.encoder import encoding, video_writer
 from vehicle_detection.media.timeline import Timeline
 from vehicle_detection.media.videos import (
     VideoInfo,
     VideoReader,
-    encoding,
     is_video,
     read_frames,
     video_info,
-    video_writer,
 )
 
 

@@ -20,9 +20,10 @@ from pipeline_functions import convert_color
 from rendered_road.render import render
 from rendered_road.sample import random_scene, truth_rows
 from vehicle_detection.evaluation.metrics import evaluate
+from vehicle_detection.media.encoder import video_writer
 from vehicle_detection.media.images import find_images, read_image, write_image
 from vehicle_detection.media.mot import read_rows, rows_of
-from vehicle_detection.media.videos import VideoInfo, video_writer
+from vehicle_detection.media.videos import VideoInfo
 from vehicle_detection.parameters import (
     DEFAULT_TRAINING,
     STILL_PARAMS,

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 
 from tqdm.auto import tqdm
 
+from vehicle_detection.media.encoder import encoding
 from vehicle_detection.media.files import written_whole
 from vehicle_detection.media.images import encoded_image, read_image
 from vehicle_detection.media.mot import joined, rows_of_detections
-from vehicle_detection.media.videos import VideoReader, encoding
+from vehicle_detection.media.videos import VideoReader
 
 if TYPE_CHECKING:
     from vehicle_detection.media.inputs import Source
@@ -93,7 +94,7 @@ def annotate_video(
     split_screen : bool
         Also write `source.split_screen`, see `Viewer.draw_split_screen`.
     preset : str
-        Of the encoder, see `videos.video_writer`.
+        Of the encoder, see `encoder.video_writer`.
     quiet : bool
         Without a progress bar.
 

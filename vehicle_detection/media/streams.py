@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any
 import cv2
 
 from vehicle_detection.command_line import Terminated
+from vehicle_detection.media.encoder import encoding
 from vehicle_detection.media.files import require_free
 from vehicle_detection.media.mot import mot_rows
-from vehicle_detection.media.videos import Frame, VideoInfo, encoding
+from vehicle_detection.media.videos import Frame, VideoInfo
 
 if TYPE_CHECKING:
     from vehicle_detection.media.viewer import Viewer
@@ -133,7 +134,7 @@ def annotate_stream(
     overwrite : bool
         Replace files that are there.
     preset : str
-        Of the encoder, see `videos.video_writer`.
+        Of the encoder, see `encoder.video_writer`.
 
     Returns
     -------
