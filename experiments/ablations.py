@@ -77,7 +77,6 @@ def tracks(**changes):
 VARIANTS = {
     "none": VIDEO_PARAMS,
     "no road (cost 0)": road(cost=0),
-    "the horizon does not move (pitch 0)": road(pitch=0),
     "cars of 1000 frames tell the road (n_frames)": road(n_frames=1000),
     "parts of better boxes stay (max_covered 1)": selection(max_covered=1),
     "lorries tell the road too (whole_car_aspect 0)": selection(whole_car_aspect=0),

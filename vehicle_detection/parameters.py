@@ -376,9 +376,6 @@ class RoadParams:
         Standard deviation of a car's height, as a share of its height.
     lorry_to_car : float
         Height of the highest lorry, some four metres, by that of a car.
-    pitch : float
-        Standard deviation of the row in which the road vanishes, from frame to frame, as a share
-        of the frame's height: cars nod, and roads go up and down by about a degree.
     n_frames : int
         Whose cars are remembered. Boxes that are none may hide the road, but no longer.
     n_std : float
@@ -392,7 +389,6 @@ class RoadParams:
     camera_to_car: tuple = (0.95, 0.2)
     spread: float = 0.2
     lorry_to_car: float = 3
-    pitch: float = 0.02
     n_frames: int = 100
     n_std: float = 2
     cost: float = 0.5
@@ -402,8 +398,8 @@ class RoadParams:
             raise ValueError("means and standard deviations of the road are above 0")
         if min(self.spread, self.n_frames, self.n_std) <= 0:
             raise ValueError("spread, n_frames and n_std are above 0")
-        if self.lorry_to_car < 1 or min(self.pitch, self.cost) < 0:
-            raise ValueError("lorry_to_car starts at 1, pitch and cost at 0")
+        if self.lorry_to_car < 1 or self.cost < 0:
+            raise ValueError("lorry_to_car starts at 1, cost at 0")
 
 
 DEFAULT_ROAD = RoadParams()

@@ -108,13 +108,11 @@ def update_road(n_rows: int, boxes: np.ndarray, weights: np.ndarray, params: Roa
     heights = box_heights(boxes)
     columns = np.stack([1 / heights, np.ones(len(boxes))], axis=1)
     target = boxes[:, 3] / heights
-    # Without the pitch, one small box would tell the horizon to a few pixels.
-    std = np.hypot(params.spread, params.pitch * n_rows / heights)
     precision = np.linalg.inv(prior.covariance)
     mean = prior.mean
     for _ in range(4):
-        error = np.abs(target - columns @ mean) / std
-        robust = weights / np.maximum(1, error) / std**2
+        error = np.abs(target - columns @ mean) / params.spread
+        robust = weights / np.maximum(1, error) / params.spread**2
         posterior = precision + columns.T @ (robust[:, None] * columns)
         pull = precision @ prior.mean + columns.T @ (robust * target)
         mean = np.linalg.solve(posterior, pull)
