@@ -77,6 +77,24 @@ def test_video_comes_back_in_rgb(tmp_path, rows, columns):
         assert container.streams.video[0].pix_fmt == "yuv420p"
 
 
+@pytest.mark.parametrize("shape", [(48, 64), (49, 64), (50, 65), (51, 66), (270, 480)])
+def test_whole_pictures_come_back(tmp_path, shape):
+    coarse = np.random.default_rng(0).integers(0, 256, (4, 5, 3), np.uint8)
+    img = cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
+    with video_writer(tmp_path / "clip.mp4", VideoInfo(*shape[::-1], 25, 3), "medium") as write:
+        for _ in range(3):
+            write(img)
+    for back in read_frames(tmp_path / "clip.mp4"):
+        difference = np.abs(back[: shape[0], : shape[1]] - img.astype(int))
+        assert difference.mean() < 8
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (2, 64), (64, 2)])
+def test_the_smallest_pictures_are_written(tmp_path, rows, columns):
+    path = write_video(tmp_path / "clip.mp4", [np.full((rows, columns, 3), 90, np.uint8)] * 2)
+    assert len(list(read_frames(path))) == 2
+
+
 def test_what_is_needed_to_play_comes_first(tmp_path):
     content = write_video(tmp_path / "clip.mp4", moving_frames(12)).read_bytes()
     assert content.index(b"moov") < content.index(b"mdat")
@@ -141,22 +159,30 @@ def test_metadata_are_kept(tmp_path):
         assert after[name] == before[name]
 
 
-@pytest.mark.parametrize("matrix", [1, 5])
+@pytest.mark.parametrize("matrix", [1, 4, 5, 6, 7, 9])
 def test_colours_and_their_tags_are_kept(tmp_path, matrix):
     frame = np.zeros((96, 128, 3), np.uint8)
     for i, color in enumerate([(220, 30, 30), (30, 200, 40), (40, 40, 210), (200, 200, 60)]):
         frame[:, 32 * i : 32 * (i + 1)] = color
-    info = VideoInfo(128, 96, 25, 5, colors=(matrix, matrix, matrix))
+    info = VideoInfo(128, 96, 25, 5, colors=(matrix, 1, 6))
     with video_writer(tmp_path / "clip.mp4", info, "medium") as write:
         for _ in range(5):
             write(frame)
     copied(tmp_path / "clip.mp4", tmp_path / "copy.mp4")
-    assert video_info(tmp_path / "copy.mp4").colors == (matrix, matrix, matrix)
+    assert video_info(tmp_path / "copy.mp4").colors == (matrix, 1, 6)
     for path in (tmp_path / "clip.mp4", tmp_path / "copy.mp4"):
         back = next(read_frames(path))
         for i in range(4):
             inner = np.s_[8:-8, 32 * i + 8 : 32 * i + 24]
             np.testing.assert_allclose(back[inner].mean((0, 1)), frame[inner].mean((0, 1)), atol=6)
+
+
+@pytest.mark.parametrize("matrix", [0, 8, 14])
+def test_a_matrix_that_is_not_written_is_not_named(tmp_path, matrix):
+    info = VideoInfo(128, 96, 25, 1, colors=(matrix, 1, 1))
+    with video_writer(tmp_path / "clip.mp4", info) as write:
+        write(np.zeros((96, 128, 3), np.uint8))
+    assert video_info(tmp_path / "clip.mp4").colors == (2, 1, 1)
 
 
 def test_other_matrix_means_other_colours(tmp_path):

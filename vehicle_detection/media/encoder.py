@@ -17,10 +17,16 @@ import av
 import numpy as np
 
 from vehicle_detection.media.files import written_whole
-from vehicle_detection.media.planes import planes_of
+from vehicle_detection.media.planes import LUMA_SHARES, to_planes
 from vehicle_detection.media.sound import copies
 from vehicle_detection.media.timeline import Timeline
-from vehicle_detection.media.videos import IO_BYTES, QUEUE_LENGTH, VideoInfo, open_container
+from vehicle_detection.media.videos import (
+    IO_BYTES,
+    QUEUE_LENGTH,
+    UNSPECIFIED,
+    VideoInfo,
+    open_container,
+)
 
 _MUXERS = {".mp4": "mp4", ".m4v": "mp4", ".mov": "mov", ".mkv": "matroska", ".avi": "avi"}
 # What plays before it is loaded, and what can be played while it is written.
@@ -215,7 +221,7 @@ class _Encoder:
         timeline, matrix = Timeline(), self._target.info.colors[0]
         while item is not None:
             rgb, time = item
-            frame = av.VideoFrame.from_numpy_buffer(planes_of(rgb, matrix), "yuv420p")
+            frame = to_planes(rgb, matrix)
             frame.pts, frame.time_base = timeline.after(time), time_base
             yield frame
             item = self._next()
@@ -235,6 +241,7 @@ def _video_stream(output, info, options):
     context.time_base = stream.time_base = info.time_base or 1 / rate
     if info.sample_aspect_ratio:
         context.sample_aspect_ratio = info.sample_aspect_ratio
-    context.colorspace, context.color_primaries, context.color_trc = info.colors
+    matrix, context.color_primaries, context.color_trc = info.colors
+    context.colorspace = matrix if matrix in LUMA_SHARES else UNSPECIFIED
     context.color_range = _LIMITED_RANGE
     return stream

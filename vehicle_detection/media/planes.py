@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import av
 import cv2
 import numpy as np
 
-# FFmpeg's numbers of matrices [1]_, and its choice where a stream names none.
+# Shares of red and blue in the luma by the number of the matrix: table 4 of H.273 [1]_.
 #
 # .. [1] ITU-T H.273, "Coding-independent code points for video signal type identification".
-UNSPECIFIED, BT601 = 2, 5
-# Shares of red and blue in the luma, table 4 of H.273.
-_RED_AND_BLUE = {
+LUMA_SHARES = {
     1: (0.2126, 0.0722),
     4: (0.30, 0.11),
     5: (0.299, 0.114),
@@ -18,11 +17,13 @@ _RED_AND_BLUE = {
     7: (0.212, 0.087),
     9: (0.2627, 0.0593),
 }
+# FFmpeg takes BT.601's where a stream names none.
+_BT601 = 5
 # Of 8 bits: black, white less black, no colour, and the range of the chroma.
 _BLACK, _LUMA_RANGE, _NEUTRAL, _CHROMA_RANGE = 16, 219, 128, 224
 
 
-def planes_of(rgb: np.ndarray, matrix: int) -> np.ndarray:
+def to_planes(rgb: np.ndarray, matrix: int) -> av.VideoFrame:
     """A picture as 8-bit Y'CbCr of limited range, a colour sample for two by two pixels.
 
     Parameters
@@ -30,31 +31,30 @@ def planes_of(rgb: np.ndarray, matrix: int) -> np.ndarray:
     rgb : ndarray of uint8, shape (rows, columns, 3)
         RGB. A side of odd length gets a pixel more.
     matrix : int
-        As FFmpeg numbers them. One that is not in its table counts as BT.601's, as in FFmpeg.
+        As H.273 numbers them. One that is not in `LUMA_SHARES` counts as BT.601's.
 
     Returns
     -------
-    planes : ndarray of uint8, shape (1.5 * rows, columns)
-        The luma, then both chromas, each one byte after the other, as FFmpeg's yuv420p.
+    frame : VideoFrame
+        Of format yuv420p.
     """
     below, right = rgb.shape[0] % 2, rgb.shape[1] % 2
     if below or right:
         rgb = cv2.copyMakeBorder(rgb, 0, below, 0, right, cv2.BORDER_REPLICATE)
     rows, columns, _ = rgb.shape
-    planes = np.empty((rows * 3 // 2, columns), np.uint8)
-    luma, chroma = planes[:rows], planes[rows:].reshape(2, rows // 2, columns // 2)
     # In steps, because OpenCV's own conversion knows BT.601 only, and swscale takes longer.
     full = cv2.transform(rgb, _to_ycbcr(matrix))
     half = cv2.resize(full, (columns // 2, rows // 2), interpolation=cv2.INTER_AREA)
-    cv2.extractChannel(full, 0, luma)
-    for channel, plane in enumerate(chroma, 1):
-        cv2.extractChannel(half, channel, plane)
-    return planes
+    frame = av.VideoFrame(columns, rows, "yuv420p")
+    for channel, (plane, img) in enumerate(zip(frame.planes, (full, half, half), strict=True)):
+        lines = np.frombuffer(plane, np.uint8).reshape(plane.height, plane.line_size)
+        cv2.extractChannel(img, channel, lines[:, : plane.width])
+    return frame
 
 
 def _to_ycbcr(matrix):
     """Weights of red, green and blue, and what is added, for Y', Cb and Cr; formulas of H.273."""
-    red, blue = _RED_AND_BLUE.get(matrix, _RED_AND_BLUE[BT601])
+    red, blue = LUMA_SHARES.get(matrix, LUMA_SHARES[_BT601])
     luma = np.array([red, 1 - red - blue, blue])
     to_blue = (np.array([0, 0, 1]) - luma) / (2 - 2 * blue)
     to_red = (np.array([1, 0, 0]) - luma) / (2 - 2 * red)

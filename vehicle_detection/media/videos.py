@@ -24,8 +24,6 @@ import numpy as np
 from av.filter import Graph
 from av.video.reformatter import VideoReformatter
 
-from vehicle_detection.media.planes import UNSPECIFIED
-
 # Containers of cameras. Playlists and scripts, which make FFmpeg open other files, are none.
 _CONTAINERS = "mov,matroska,webm,avi,mpegts,mpeg,asf,flv,gif,ogg,dv,mxf"
 # Of videos, for folders and for what cannot be read; what a file is, its content says.
@@ -33,11 +31,14 @@ VIDEO_SUFFIXES = {
     ".mp4", ".m4v", ".mov", ".3gp", ".mkv", ".webm", ".avi", ".ts", ".mts", ".m2ts", ".mpg",
     ".mpeg", ".vob", ".wmv", ".flv", ".gif", ".ogv", ".dv", ".mxf",
 }  # fmt: skip
-# Of frames that one thread hands to another.
+# So many frames wait between two threads.
 QUEUE_LENGTH = 8
 # Headers are often off by a frame or two.
 _INEXACT_HEADER = 2
+# Read or written at a time.
 IO_BYTES = 1 << 18
+# As FFmpeg numbers a matrix, primaries or a transfer function that is not named.
+UNSPECIFIED = 2
 # Decoding runs beside the search. Threads that take turns at one frame each need more
 # time in all than one thread does.
 _DECODERS = max(1, (os.cpu_count() or 1) // 2)
