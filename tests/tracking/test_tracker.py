@@ -36,7 +36,7 @@ def test_iou_of_known_boxes():
 
 
 def test_edges_at_the_border_are_told_on_all_sides():
-    own = np.array([(0, 50, 80, 90), (-9, 60, 81, 100), (116, 0.5, 200, 42), (1, 1, 199, 99)])
+    own = np.array([(0, 50, 80, 90), (-9, 60, 81, 99.5), (116, 1.5, 200, 42), (1, 1, 199, 99)])
     touches = touches_border(own, (100, 200, 3))
     expected = [(1, 0, 0, 0), (1, 0, 0, 1), (0, 0, 1, 0), (0, 0, 0, 0)]
     np.testing.assert_array_equal(touches, expected)

@@ -8,7 +8,7 @@ from conftest import random_boxes
 from vehicle_detection.parameters import SelectionParams
 from vehicle_detection.two_stage.selection import non_max_suppression, overlap_conflicts
 
-PARAMS = SelectionParams()
+PARAMS = SelectionParams(max_iou=0.5, max_covered=0.7)
 
 
 @settings(max_examples=50)
@@ -23,7 +23,7 @@ def test_of_boxes_in_conflict_the_better_one_is_kept(count, seed):
         common = max(0, width) * max(0, height)
         areas = [(x[2] - x[0]) * (x[3] - x[1]) for x in (a, b)]
         is_part = common / min(areas) > 0.7
-        return common / (sum(areas) - common) > 0.45 or is_part
+        return common / (sum(areas) - common) > 0.5 or is_part
 
     kept = []
     for i in np.argsort(-scores):

@@ -18,7 +18,7 @@ import numpy as np
 
 from vehicle_detection.media.files import written_whole
 from vehicle_detection.media.planes import LUMA_SHARES, to_planes
-from vehicle_detection.media.sound import copies
+from vehicle_detection.media.sound import Copies, copies
 from vehicle_detection.media.timeline import Timeline
 from vehicle_detection.media.videos import (
     IO_BYTES,
@@ -203,18 +203,16 @@ class _Encoder:
         )
         output.metadata.update(info.metadata)
         stream = _video_stream(output, info, self._target.codec_options)
-        copied = None
+        copied = Copies(iter(()))
         if source:
             beside = stack.enter_context(open(source, "rb"))  # noqa: SIM115, the stack closes it
             copied = copies(stack.enter_context(open_container(beside)), output)
         for frame in self._planes(first, stream.codec_context.time_base):
             for packet in stream.encode(frame):
-                if copied:
-                    output.mux(copied.until(packet.dts * packet.time_base))
+                output.mux(copied.until(packet.dts * packet.time_base))
                 output.mux(packet)
         output.mux(stream.encode(None))
-        if copied:
-            output.mux(copied.until(None))
+        output.mux(copied.until(None))
 
     def _planes(self, item, time_base):
         """Yield frames as the codec takes them, with rising times."""

@@ -41,8 +41,8 @@ class Copies:
         return found
 
 
-def copies(container: Any, output: Any) -> Copies | None:
-    """What of a video can be copied beside the picture, None for nothing.
+def copies(container: Any, output: Any) -> Copies:
+    """What of a video can be copied beside the picture; may be nothing.
 
     Parameters
     ----------
@@ -56,8 +56,9 @@ def copies(container: Any, output: Any) -> Copies | None:
         writer = _writer(stream, output)
         if writer is not None:
             writers[stream] = writer
+    # Told to demux no streams, PyAV demuxes all.
     if not writers:
-        return None
+        return Copies(iter(()))
     start = Fraction(container.start_time or 0, av.time_base)
     return Copies(_packets(container, writers, start))
 

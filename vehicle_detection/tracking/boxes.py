@@ -44,7 +44,7 @@ def clip_to_frame(boxes: np.ndarray, frame_shape: tuple) -> np.ndarray:
 
 
 def touches_border(boxes: np.ndarray, frame_shape: tuple) -> np.ndarray:
-    """Which edges of boxes lie at the border of the frame, or beyond it.
+    """Which edges of boxes lie within a pixel of the border of the frame, or beyond it.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def touches_border(boxes: np.ndarray, frame_shape: tuple) -> np.ndarray:
         Left, top, right, bottom.
     """
     rows, columns = frame_shape[:2]
-    return np.hstack([boxes[:, :2] <= 0, boxes[:, 2:] >= (columns, rows)])
+    return np.hstack([boxes[:, :2] < 1, boxes[:, 2:] > (columns - 1, rows - 1)])
 
 
 def stack_boxes(boxes: list) -> np.ndarray:

@@ -41,10 +41,6 @@ class Candidates:
     boxes: np.ndarray
     scores: np.ndarray
 
-    def only(self, chosen: np.ndarray) -> Candidates:
-        """The candidates that a mask or index array picks."""
-        return Candidates(self.boxes[chosen], self.scores[chosen])
-
 
 def refine(
     frame: np.ndarray,

@@ -165,7 +165,8 @@ class TwoStageVehicle(Viewer):
         weights = np.clip(scores[whole] - self.params.tracks.score_offset, 0, 1)
         road = self._memory.road(self._frame_shape[0], boxes[whole], weights)
         scores = self._penalised(candidates, road)
-        return Candidates(boxes, scores).only(non_max_suppression(conflicts, scores))
+        kept = non_max_suppression(conflicts, scores)
+        return Candidates(boxes[kept], scores[kept])
 
     def _penalised(self, candidates, road):
         """Scores of candidates, less where no vehicle can stand."""

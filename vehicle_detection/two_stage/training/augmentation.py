@@ -10,7 +10,7 @@ import numpy as np
 
 from vehicle_detection.media.training_images import read_window
 from vehicle_detection.parameters import DEFAULT_AUGMENTATION
-from vehicle_detection.tracking.boxes import box_areas, clip_to_frame
+from vehicle_detection.tracking.boxes import box_areas, clip_to_frame, touches_border
 
 if TYPE_CHECKING:
     from vehicle_detection.parameters import AugmentationParams
@@ -41,8 +41,7 @@ def random_camera(
         The others are neither vehicles nor background.
     """
     img, boxes = example.read(), example.boxes
-    rows, columns = img.shape[:2]
-    at_border = ((boxes[:, :2] < 1) | (boxes[:, 2:] > (columns - 1, rows - 1))).any(axis=1)
+    at_border = touches_border(boxes, img.shape).any(axis=1)
     visibility = np.where(example.required | at_border, example.visibility, 0)
     if rng.random() < params.cut_chance:
         img, boxes, visibility = cut_frame(img, boxes, visibility, _random_cuts(rng, params))
