@@ -43,13 +43,20 @@ def to_planes(rgb: np.ndarray, matrix: int) -> av.VideoFrame:
         rgb = cv2.copyMakeBorder(rgb, 0, below, 0, right, cv2.BORDER_REPLICATE)
     rows, columns, _ = rgb.shape
     # In steps, because OpenCV's own conversion knows BT.601 only, and swscale takes longer.
-    full = cv2.transform(rgb, _to_ycbcr(matrix))
-    half = cv2.resize(full, (columns // 2, rows // 2), interpolation=cv2.INTER_AREA)
+    ycbcr = cv2.transform(rgb, _to_ycbcr(matrix))
     frame = av.VideoFrame(columns, rows, "yuv420p")
-    for channel, (plane, img) in enumerate(zip(frame.planes, (full, half, half), strict=True)):
-        lines = np.frombuffer(plane, np.uint8).reshape(plane.height, plane.line_size)
-        cv2.extractChannel(img, channel, lines[:, : plane.width])
+    luma, *chroma = map(_pixels, frame.planes)
+    whole = np.empty((2, rows, columns), np.uint8)
+    cv2.split(ycbcr, [luma, *whole])
+    for plane, small in zip(whole, chroma, strict=True):
+        cv2.resize(plane, (columns // 2, rows // 2), small, interpolation=cv2.INTER_AREA)
     return frame
+
+
+def _pixels(plane):
+    """What is seen of a plane: a view of FFmpeg's memory, whose lines may be longer."""
+    lines = np.frombuffer(plane, np.uint8).reshape(plane.height, plane.line_size)
+    return lines[:, : plane.width]
 
 
 def _to_ycbcr(matrix):
