@@ -23,6 +23,14 @@ LEFT_OUT = "video"
 _WIDGET = "application/vnd.jupyter.widget-view+json"
 _JPEG_QUALITY = 80
 _WIDEST = 1400
+# nbconvert indents what a cell prints, which some readers take for prose.
+_FENCED_OUTPUT = """{%- extends 'markdown/index.md.j2' -%}
+{% block stream %}
+```text
+{{ output.text | trim }}
+```
+{% endblock stream %}
+"""
 
 
 def small_jpeg(png):
@@ -51,7 +59,8 @@ def convert(notebook, path):
     config.TagRemovePreprocessor.remove_all_outputs_tags = (LEFT_OUT,)
     config.TagRemovePreprocessor.remove_cell_tags = ("injected-parameters",)
     folder = path.with_suffix("").name
-    text, resources = MarkdownExporter(config=config).from_notebook_node(
+    exporter = MarkdownExporter(config=config, raw_template=_FENCED_OUTPUT)
+    text, resources = exporter.from_notebook_node(
         without_what_moves(nbformat.read(notebook, as_version=4)),
         resources={"output_files_dir": f"{folder}_files"},
     )

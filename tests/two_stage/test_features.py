@@ -23,6 +23,7 @@ from vehicle_detection.two_stage.features import (
     cut_out,
     cut_patches,
     describe_patches,
+    luma_and_chroma,
     margins_outside,
     on_whole_pixels,
     relative_colors,
@@ -114,6 +115,7 @@ def test_no_patches_have_no_features():
     img, none = textured_image(2, 24, 32), np.empty((0, 4))
     side = PATCH_SIDE * PATCH_CELL
     assert cut_patches(img, none).shape == (0, side, side, 3)
+    assert luma_and_chroma(cut_patches(img, none)).shape == (3, 0, side, side)
     cells, borders = described(img, none)
     assert len(cells) == len(borders) == 0
 

@@ -120,7 +120,7 @@ def luma_and_chroma(patches: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     patches : ndarray of uint8, shape (n, rows, columns, 3)
-        RGB; at least one.
+        RGB.
 
     Returns
     -------
@@ -129,9 +129,10 @@ def luma_and_chroma(patches: np.ndarray) -> np.ndarray:
     """
     n, rows, columns, _ = patches.shape
     planes = np.empty((3, n, rows, columns), np.uint8)
-    # One below the other, they are one image.
-    whole = cv2.cvtColor(patches.reshape(n * rows, columns, 3), cv2.COLOR_RGB2YCrCb)
-    cv2.split(whole, list(planes.reshape(3, n * rows, columns)))
+    if n:
+        # One below the other, they are one image.
+        whole = cv2.cvtColor(patches.reshape(n * rows, columns, 3), cv2.COLOR_RGB2YCrCb)
+        cv2.split(whole, list(planes.reshape(3, n * rows, columns)))
     return planes
 
 
@@ -159,9 +160,6 @@ def describe_patches(patches: np.ndarray, outside: np.ndarray) -> np.ndarray:
     .. [1] R. Arandjelovic and A. Zisserman, "Three things everyone should know to
            improve object retrieval", CVPR 2012.
     """
-    # OpenCV takes no image without pixels.
-    if not len(patches):
-        return np.empty((0, N_FEATURES), np.float32)
     planes = luma_and_chroma(patches)
     histograms = _patch_histograms(planes[0])
     around = cell_lengths(histograms).mean(axis=(1, 2), keepdims=True)
@@ -174,6 +172,8 @@ def describe_patches(patches: np.ndarray, outside: np.ndarray) -> np.ndarray:
 def _patch_histograms(patches):
     """`compiled.hog.cell_histograms` of planes, shape (n, side, side, orientations)."""
     n, rows, columns = patches.shape
+    if not n:
+        return np.empty((0, PATCH_SIDE, PATCH_SIDE, ORIENTATIONS), np.float32)
     # All patches are the channels of one image, for a pass of HOG has its price.
     channels = patches.transpose(1, 2, 0)
     return cell_histograms(channels, ORIENTATIONS, rows // PATCH_SIDE)
@@ -197,6 +197,8 @@ def relative_colors(planes: np.ndarray) -> np.ndarray:
         of 255.
     """
     _, n, rows, columns = planes.shape
+    if not n:
+        return np.empty((0, PATCH_SIDE, PATCH_SIDE, 3), np.float32)
     below_each_other = planes.reshape(3 * n * rows, columns)
     size = PATCH_SIDE, 3 * n * PATCH_SIDE
     means = cv2.resize(below_each_other, size, interpolation=cv2.INTER_AREA)
